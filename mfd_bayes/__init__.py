@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mfd_bayes.friction.quantities import Parameter
     from mfd_bayes.friction.three_stage import LuGre, ThreeStage
     from mfd_bayes.population.bands import Band
-    from mfd_bayes.population.conditioning import Forecaster
+    from mfd_bayes.population.conditioning import OnlinePredictor
     from mfd_bayes.records.record import Record, read_record
     from mfd_bayes.records.trace import Trace
     from mfd_bayes.runs.model_average import ModelAverage
@@ -37,7 +37,7 @@ _HOMES = {
     "Draws": "mfd_bayes.calibration.sampling",
     "Goal": "mfd_bayes.campaign.candidate",
     "Limits": "mfd_bayes.campaign.candidate",
-    "Forecaster": "mfd_bayes.population.conditioning",
+    "OnlinePredictor": "mfd_bayes.population.conditioning",
     "LuGre": "mfd_bayes.friction.three_stage",
     "MfdError": "mfd_bayes.errors",
     "Model": "mfd_bayes.friction.model",
@@ -64,13 +64,13 @@ __all__ = [
     "BoucWen",
     "Candidate",
     "Draws",
-    "Forecaster",
     "Goal",
     "Limits",
     "LuGre",
     "MfdError",
     "Model",
     "ModelAverage",
+    "OnlinePredictor",
     "Parameter",
     "Posterior",
     "Record",

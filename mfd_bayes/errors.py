@@ -98,9 +98,9 @@ def real_number(
     error: type[MfdError],
     bounds: tuple[float, float] = (-inf, inf),
     *,
-    inside: bool = False,
+    exclusive: bool = False,
 ) -> float:
-    """A finite number within bounds, and at neither of them where it must lie `inside`."""
+    """A finite number within bounds, and at neither of them where it must lie `exclusive`."""
     if type(value) is not float:
         _refuse_unit(name, value, error)
     is_real = isinstance(value, Real) and not isinstance(value, bool)
@@ -112,11 +112,13 @@ def real_number(
     number = nan
     with suppress(OverflowError):
         number = float(value) if is_real else nan
-    least, most = bounds
-    if isfinite(number) and (least < number < most if inside else least <= number <= most):
+    lower, upper = bounds
+    if isfinite(number) and (lower < number < upper if exclusive else lower <= number <= upper):
         return number
-    above, below = ("above", "below") if inside else ("of at least", "of at most")
-    limits = [f"{above} {least:g}"] * (least > -inf) + [f"{below} {most:g}"] * (most < inf)
+    lower_words, upper_words = ("above", "below") if exclusive else ("of at least", "of at most")
+    limits = [f"{lower_words} {lower:g}"] * (lower > -inf) + [f"{upper_words} {upper:g}"] * (
+        upper < inf
+    )
     expected = " ".join(["a finite number", " and ".join(limits)]).strip()
     raise error(f"{name} must be {expected}, got {value!r}")
 
@@ -132,17 +134,17 @@ MOST_DRAWS = 100_000  # more would take the memory, and tell nothing new
 
 
 def whole_number(
-    name: str, value: Any, least: int, error: type[MfdError], most: int | None = None
+    name: str, value: Any, minimum: int, error: type[MfdError], maximum: int | None = None
 ) -> int:
     """A whole number that is not below the least one, nor above the most there may be."""
     try:
         number = index(value)
     except TypeError:
-        number = least - 1
-    if number < least or isinstance(value, bool):
-        raise error(f"{name} must be a whole number, {least} or more, got {value!r}")
-    if most is not None and number > most:
-        raise error(f"{name} must be a whole number of at most {most}, got {value!r}")
+        number = minimum - 1
+    if number < minimum or isinstance(value, bool):
+        raise error(f"{name} must be a whole number, {minimum} or more, got {value!r}")
+    if maximum is not None and number > maximum:
+        raise error(f"{name} must be a whole number of at most {maximum}, got {value!r}")
     return number
 
 
@@ -184,8 +186,8 @@ def path_of(name: str, value: Any, error: type[MfdError]) -> Path:
 def file_inside(folder: Path, name: str) -> Path | None:
     """Path of a file that a text in a folder names, links followed; None where it lies outside."""
     path = (folder / name).resolve()
-    inside = not Path(name).is_absolute() and path.is_relative_to(folder.resolve())
-    return path if inside else None
+    is_inside = not Path(name).is_absolute() and path.is_relative_to(folder.resolve())
+    return path if is_inside else None
 
 
 def hash_file(path: Path) -> str:

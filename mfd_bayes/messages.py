@@ -11,7 +11,7 @@ from mfd_bayes.units import in_digits
 
 
 class Writer(Protocol):
-    """Writes for a reader, as `runs.unit_system.System` does."""
+    """Writes for a reader, as `runs.unit_system.UnitSystem` does."""
 
     def words(self, values: Sequence[float], internal: str, digits: int) -> str:
         """Values of an internal unit with a number of digits: `([0.2, 0.3], "in", 3)`."""
@@ -21,7 +21,7 @@ class Writer(Protocol):
 
 
 @dataclass(frozen=True)
-class Quantity:
+class Measure:
     """One value, or the ends of a range, in an internal unit (kip, in, s, ksi, …)."""
 
     values: tuple[float, ...]
@@ -33,7 +33,7 @@ class Quantity:
             raise ValueError(f"{self} has no values, or digits that are not 1 to 17")
 
     @classmethod
-    def of(cls, *values: float, unit: str, digits: int = 3) -> Quantity:
+    def of(cls, *values: float, unit: str, digits: int = 3) -> Measure:
         """Quantity of one value or of the ends of a range."""
         return cls(tuple(float(value) for value in values), unit, digits)
 
@@ -47,11 +47,11 @@ class Message:
     template : str
         As `str.format` takes it; braces that are meant are doubled.
     values : mapping
-        By name: a `Quantity`, which is written in the reader's units, or text, which stays.
+        By name: a `Measure`, which is written in the reader's units, or text, which stays.
     """
 
     template: str
-    values: Mapping[str, Quantity | str] = field(default_factory=dict)
+    values: Mapping[str, Measure | str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for _, name, form, conversion in Formatter().parse(self.template):
@@ -60,13 +60,13 @@ class Message:
 
     def to_text(self, writer: Writer) -> str:
         """The sentence with its quantities as `writer` writes them."""
-        shown = {
+        texts = {
             name: writer.words(value.values, value.unit, value.digits)
-            if isinstance(value, Quantity)
+            if isinstance(value, Measure)
             else value
             for name, value in self.values.items()
         }
-        return writer.text(self.template).format(**shown)
+        return writer.text(self.template).format(**texts)
 
     def __str__(self) -> str:
         """The sentence in internal units."""
@@ -77,8 +77,8 @@ class _Internal:
     """Writes values in internal units."""
 
     def words(self, values: Sequence[float], internal: str, digits: int) -> str:
-        shown = dict.fromkeys(in_digits(value, digits) for value in values)
-        return f"{' to '.join(shown)} {internal.replace('*', '·')}"
+        texts = dict.fromkeys(in_digits(value, digits) for value in values)
+        return f"{' to '.join(texts)} {internal.replace('*', '·')}"
 
     def text(self, words: str) -> str:
         return words
@@ -88,11 +88,11 @@ def join(messages: Iterable[Message], separator: str) -> Message:
     """Several sentences as one, with a separator between them."""
     templates, values = [], {}
     for number, message in enumerate(messages):
-        parts = []
+        segments = []
         for text, name, _, _ in Formatter().parse(message.template):
-            parts.append(text.replace("{", "{{").replace("}", "}}"))
+            segments.append(text.replace("{", "{{").replace("}", "}}"))
             if name is not None:
-                parts.append(f"{{{name}_{number}}}")
+                segments.append(f"{{{name}_{number}}}")
                 values[f"{name}_{number}"] = message.values[name]
-        templates.append("".join(parts))
+        templates.append("".join(segments))
     return Message(separator.join(templates), values)

@@ -187,9 +187,13 @@ def actuation_factor(unit: str, *, of: str = "") -> tuple[float, ActuationUnit]:
     parsed = _parse(unit, named)
     is_angle = bool(_ANGLES.search(str(parsed)))
     for internal in _ACTUATIONS:
-        other = _registry().parse_units(internal)
-        plain = internal in ("turn", "%") and (internal == "turn") != is_angle
-        if parsed.dimensionality == other.dimensionality and not plain and str(parsed) != _NONE:
+        candidate = _registry().parse_units(internal)
+        is_mismatch = internal in ("turn", "%") and (internal == "turn") != is_angle
+        if (
+            parsed.dimensionality == candidate.dimensionality
+            and not is_mismatch
+            and str(parsed) != _NONE
+        ):
             return _scale(parsed, internal, named), internal
     raise UnitError(
         f"{named} measures {_measure(parsed)}; actuation needs a pressure such as 'psi', a force "
@@ -206,10 +210,10 @@ def actuation_kind(internal: ActuationUnit) -> str:
 def convert(unit: str, target: str) -> float:
     """Factor from one unit to another of the same measure: ``("kip/in", "kN/mm")``."""
     named = _named(unit)
-    parsed, other = _parse(unit, named), _parse(target, _named(target))
-    if parsed.dimensionality != other.dimensionality:
+    parsed, parsed_target = _parse(unit, named), _parse(target, _named(target))
+    if parsed.dimensionality != parsed_target.dimensionality:
         raise UnitError(f"{named} cannot be given in {target!r}")
-    return _scale(parsed, str(other), named)
+    return _scale(parsed, str(parsed_target), named)
 
 
 def force_meant(unit: str) -> str:
@@ -221,7 +225,7 @@ def force_meant(unit: str) -> str:
 def may_mean(unit: str, read: str) -> bool:
     """Whether a force of a unit such as "kg" or "tonf" may have been read in the other unit."""
     meant = re.findall(r"'(\w+)'", _FORCES.get(unit.lower(), ""))
-    return any(same_unit(one, read) for one in meant)
+    return any(same_unit(name, read) for name in meant)
 
 
 def measure(unit: str) -> str | None:
@@ -232,9 +236,9 @@ def measure(unit: str) -> str | None:
         return None
 
 
-def measures(unit: str, like: str) -> bool:
+def measures(unit: str, reference: str) -> bool:
     """Whether a unit is of the same dimension as another."""
-    return bool(_parse(unit, unit).dimensionality == _parse(like, like).dimensionality)
+    return bool(_parse(unit, unit).dimensionality == _parse(reference, reference).dimensionality)
 
 
 def has_angle(unit: str) -> bool:
@@ -242,10 +246,10 @@ def has_angle(unit: str) -> bool:
     return bool(_ANGLES.search(str(_parse(unit, _named(unit)))))
 
 
-def same_unit(one: str, other: str) -> bool:
+def same_unit(unit: str, target: str) -> bool:
     """Whether two units are the same, however they are spelled: ``"kip"`` and ``"Kips"``."""
     try:
-        return math.isclose(convert(one, other), 1.0)
+        return math.isclose(convert(unit, target), 1.0)
     except UnitError:
         return False
 
@@ -345,8 +349,8 @@ def _parse(unit: str, named: str) -> Any:
 def _spelled(word: str) -> str:
     """Word of a unit in pint's spelling."""
     lower = word.lower()
-    if known := _SPELLINGS.get(word) or (_SPELLINGS.get(lower) if len(word) > 2 else None):
-        return known
+    if spelling := _SPELLINGS.get(word) or (_SPELLINGS.get(lower) if len(word) > 2 else None):
+        return spelling
     # A longer word is no symbol but a name: "Newtons".
     return lower if len(word) > 4 else word
 
@@ -363,12 +367,12 @@ def _scale(parsed: Any, target: str, named: str) -> float:
     """Factor from pint's unit to another; the values at 0 and 2 show an offset or a logarithm."""
     try:
         to = _registry().parse_units(target)
-        zero, one, two = (float(_registry().convert(x, parsed, to)) for x in (0.0, 1.0, 2.0))
+        zero, ratio, two = (float(_registry().convert(x, parsed, to)) for x in (0.0, 1.0, 2.0))
     except Exception as error:  # offset and logarithmic units fail in several ways
         raise UnitError(f"{named} is not a plain multiple of {target!r}") from error
-    if zero != 0.0 or not (math.isfinite(one) and one > 0.0 and math.isclose(two, 2.0 * one)):
+    if zero != 0.0 or not (math.isfinite(ratio) and ratio > 0.0 and math.isclose(two, 2.0 * ratio)):
         raise UnitError(f"{named} is not a plain multiple of {target!r}")
-    return one
+    return ratio
 
 
 def _named(unit: str, of: str = "") -> str:
@@ -466,8 +470,8 @@ class Axes:
 
     def text(self, words: str) -> str:
         """A sentence of the package about a damper in the names of this motion and response."""
-        without = () if self.timed else (" and velocity", " over time", " against time")
-        for text in (*without, *(() if self.actuated else (" and actuation",))):
+        phrases = () if self.timed else (" and velocity", " over time", " against time")
+        for text in (*phrases, *(() if self.actuated else (" and actuation",))):
             words = words.replace(text, "")
         if self.of_damper:
             return words
@@ -483,11 +487,11 @@ class Axes:
     def _names(self) -> dict[str, str]:
         """What stands for each word of a damper."""
         motion, response = self.motion.name, self.response.name
-        many = f"{response}es" if response.endswith("s") else f"{response}s"
+        plural = f"{response}es" if response.endswith("s") else f"{response}s"
         names = {"offset of the load cell": f"offset of the {response}", "load cell": "sensor"}
         names |= {"of the damper": "of the device", "spikes at build-up": "spikes"}
         if self.response != DAMPER.response:
-            names |= {"force": response, "forces": many}
+            names |= {"force": response, "forces": plural}
             names |= {"slip force": response, "slip force and gap": response}
         if self.motion != DAMPER.motion:
             names |= {"displacement": motion, "displacements": f"{motion}s", "displ.": motion}
@@ -508,25 +512,23 @@ DAMPER = Axes()
 _OTHER_NAMES = {"displacement": "travel, mm", "force": "load, N"}
 
 
-def axis_of(given: object, default: Axis) -> Axis:
+def axis_of(spec: object, default: Axis) -> Axis:
     """Axis of "stress, MPa", ("stress", "MPa"), or of a quantity of `UNITS` alone, "stress"."""
-    parts = given if isinstance(given, tuple | list) else str(given).split(",", 1)
-    name, *unit = (str(part).strip() for part in parts)
+    items = spec if isinstance(spec, tuple | list) else str(spec).split(",", 1)
+    name, *unit = (str(item).strip() for item in items)
     if not re.fullmatch(r"[A-Za-z]\w*", name) or len(unit) > 1:
-        raise UnitError(
-            f"expected a quantity and its unit such as 'stress, MPa', got {given!r:.60}"
-        )
+        raise UnitError(f"expected a quantity and its unit such as 'stress, MPa', got {spec!r:.60}")
     if name in ("time", "velocity", "actuation", "rate"):
         raise UnitError(f"{name!r} is the name of another column")
     if name in ("displacement", "force"):
-        own = Axis(name, {"displacement": "in", "force": "kip"}[name])
-        if own != default or unit not in ([], [own.unit]):
+        standard_axis = Axis(name, {"displacement": "in", "force": "kip"}[name])
+        if standard_axis != default or unit not in ([], [standard_axis.unit]):
             raise UnitError(
                 "a model gets its displacement in in and gives its force in kip, whatever the "
-                f"units of the records, got {given!r:.60}: leave the unit out, or use another name "
+                f"units of the records, got {spec!r:.60}: leave the unit out, or use another name "
                 f"than {name}, such as '{_OTHER_NAMES[name]}'"
             )
-        return own
+        return standard_axis
     if not unit and name not in UNITS:
         raise UnitError(f"{name!r} needs a unit, such as '{name}, kN*m'; 1 is that of a ratio")
     axis = Axis(name, unit[0] if unit else UNITS[name][1])
@@ -538,27 +540,29 @@ def axis_of(given: object, default: Axis) -> Axis:
 
 def check_unit(unit: str, axis: Axis, of: str) -> float:
     """Factor from a unit to that of an axis; raises UnitError where it measures something else."""
-    own = f" of {of}" if of else ""
+    owner = f" of {of}" if of else ""
     try:
-        by = convert(unit, axis.unit)
+        ratio = convert(unit, axis.unit)
     except UnitError as error:
         if "cannot be given" not in str(error):
-            raise UnitError(str(error).replace(f"unit {unit!r}", f"unit {unit!r}{own}")) from error
-        by = 0.0
-    if not by > 0.0 or has_angle(unit) != has_angle(axis.unit):
+            raise UnitError(
+                str(error).replace(f"unit {unit!r}", f"unit {unit!r}{owner}")
+            ) from error
+        ratio = 0.0
+    if not ratio > 0.0 or has_angle(unit) != has_angle(axis.unit):
         raise UnitError(
-            f"unit {unit!r}{own} is none of a {axis.name}, which needs one such as {axis.unit!r}"
+            f"unit {unit!r}{owner} is none of a {axis.name}, which needs one such as {axis.unit!r}"
         )
-    return by
+    return ratio
 
 
 def in_place_of(unit: str, units: Mapping[str, str]) -> str:
     """A unit with others in place of some of its words, "MPa" of "kip/in" with in as 1."""
 
     def replaced(match: re.Match[str]) -> str:
-        other = units.get(match[2], match[2])
-        compound = match[1] == "/" and re.search(r"[*/]", other)
-        return f"{match[1]}({other})" if compound else f"{match[1]}{other}"
+        replacement = units.get(match[2], match[2])
+        compound = match[1] == "/" and re.search(r"[*/]", replacement)
+        return f"{match[1]}({replacement})" if compound else f"{match[1]}{replacement}"
 
     text = re.sub(r"([*/]?)([A-Za-z%]+)", replaced, unit)
     text = re.sub(r"/\(1/(\w*)\)", r"*\1", text).replace("*1/", "/")

@@ -19,10 +19,10 @@ from mfd_bayes.pipeline.plan import Plan, plan_campaign
 from mfd_bayes.population.design import LAW_NAMES, design_of, setting_of
 from mfd_bayes.population.population import (
     KNOTS,
+    InitialGapPrior,
     LawDraws,
     Population,
     Residual,
-    Starts,
     TravelBasis,
     save_population,
 )
@@ -139,7 +139,7 @@ def _write_population(path, priors, names, under, rng):
         alternatives=LawDraws(**draws),
         alternative_weight=np.full(12, 1.0 / 12.0),
         residual=Residual(TravelBasis(1.0, 2.0), *learned, 1.0, 0.3, 0.2, 0.01, 0.01),
-        starts=Starts(),
+        starts=InitialGapPrior(),
         priors=priors.parameters,
         actuation_unit="ksi",
         walkers=6,

@@ -24,7 +24,7 @@ from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign import synthetic
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values, write_campaign
 from mfd_bayes.evaluation.laws import drift_row
-from mfd_bayes.population.design import Setting, design_of
+from mfd_bayes.population.design import TestConditions, design_of
 from mfd_bayes.population.mixed_model import MixedModel
 
 MATRIX = Matrix((600.0, 1000.0, 1400.0), (0.1, 0.25, 0.5, 1.0), (2, 3, 3, 4), (800.0, 0.5))
@@ -146,7 +146,7 @@ def drift(options):
     """Inspections in five years of three tests each, whose slip force scatters by 2 %."""
     rng, rows = np.random.default_rng(8), []
     years = np.repeat(2020.0 + np.arange(5.0), 3)
-    tested = [Setting(1.0, "", {"date": year}) for year in years]
+    tested = [TestConditions(1.0, "", {"date": year}) for year in years]
     laws, follows = {"Fc_fwd": "proportional"}, {"Fc_fwd": ("date",)}
     design = design_of(load_priors("mfd"), ("Fc_fwd",), tested, laws, follows)
     design, choice = replace(design, leveled=False), np.array([0])

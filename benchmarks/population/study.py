@@ -18,7 +18,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.calibration.sampling import sample
-from mfd_bayes.population.bands import Forecast, Predictor
+from mfd_bayes.population.bands import PredictionOptions, Predictor
 from mfd_bayes.population.design import WIDER, Design, design_of, setting_of
 from mfd_bayes.population.inference import Inference, InferenceSettings, infer_population
 from mfd_bayes.records.trace import Trace
@@ -224,7 +224,7 @@ def ranks_of(campaign, inference):
         h = draws.h.copy()
         h[..., : design.free.size] += np.log(factor)
         changed = replace(population, draws=replace(draws, h=h))
-        forecast = Forecast("observation", draws=DRAWS, seed=campaign.seed[1])
+        forecast = PredictionOptions("observation", draws=DRAWS, seed=campaign.seed[1])
         band = Predictor(changed, test.model, test.noise).predict(new.trace, forecast)
         seen = {f"new test's {name}": band.values[name] for name in ("Fc_fwd", "sigma0")}
         seen |= _seen_in(new, np.asarray(band.draws))

@@ -18,19 +18,19 @@ FEWEST_CYCLES = 3  # least number of cycles of a record from which one can be le
 _PIECE = 1 << 19  # size of the arrays of one piece, in numbers
 
 
-def find_cycles(trace: Trace, first: int = 0) -> NDArray[np.intp]:
+def find_cycles(trace: Trace, start: int = 0) -> NDArray[np.intp]:
     """First sample of each cycle of a record, and the end of the record, (C + 1,).
 
     A cycle ends at every second turn of the whole motion, as in a harmonic record. In an irregular
     record small loops are joined until they last half the mean period 2π sd(x)/sd(v): a shorter
     block would be predicted too easily from its neighbours. A short rest at the end joins the last
     cycle. The cycles follow from the motion alone: they are the same for every model. Samples
-    before `first` are in no cycle.
+    before `start` are in no cycle.
     """
     time = trace.time
-    shortest = np.pi * trace.displacement[first:].std() / trace.velocity[first:].std()
-    edges, turns = [first], 0
-    for turn in trace.cycle_turns[trace.cycle_turns > first].tolist():
+    shortest = np.pi * trace.displacement[start:].std() / trace.velocity[start:].std()
+    edges, turns = [start], 0
+    for turn in trace.cycle_turns[trace.cycle_turns > start].tolist():
         turns += 1
         if turns >= 2 and time[turn] - time[edges[-1]] >= shortest:
             edges.append(turn)
@@ -53,21 +53,21 @@ def cycle_log_likelihood(
     log p(y_c | y_-c, θ), (n, C), and log p(y | θ), (n,), for draws of all quantities, (n,) each,
     and `cycles` from `find_cycles` with the posterior's `first`.
     """
-    kept, size = slice(cycles[0], None), max(1, _PIECE // posterior.trace.samples)
+    rows, size = slice(cycles[0], None), max(1, _PIECE // posterior.trace.samples)
     pieces = []
     for begin in range(0, values["offset"].size, size):
-        some = {name: column[begin : begin + size] for name, column in values.items()}
-        residual = np.asarray(posterior.trace.force) - some["offset"][:, None]
-        residual -= posterior.force(some)
-        travel = posterior.travel(some)
+        batch = {name: column[begin : begin + size] for name, column in values.items()}
+        residual = np.asarray(posterior.trace.force) - batch["offset"][:, None]
+        residual -= posterior.force(batch)
+        travel = posterior.travel(batch)
         decay, scale = posterior.noise.memory(
-            posterior.trace.time[kept], some, None if travel is None else travel[:, kept]
+            posterior.trace.time[rows], batch, None if travel is None else travel[:, rows]
         )
-        dof = some["noise_dof"] if "noise_dof" in posterior.noise.parameters else None
+        dof = batch["noise_dof"] if "noise_dof" in posterior.noise.parameters else None
         starts = cycles[:-1] - cycles[0]
-        pieces.append(conditional_density(residual[:, kept], decay, scale, starts, dof))
-    given, whole = zip(*pieces, strict=True)
-    return np.concatenate(given), np.concatenate(whole)
+        pieces.append(conditional_density(residual[:, rows], decay, scale, starts, dof))
+    conditional, total = zip(*pieces, strict=True)
+    return np.concatenate(conditional), np.concatenate(total)
 
 
 def conditional_density(
@@ -86,22 +86,22 @@ def conditional_density(
     the first samples of the blocks, (C,), beginning with 0.
     """
     standard = residual / scale
-    before = np.zeros_like(standard)
-    before[:, 1:] = standard[:, :-1]
-    link = _transition(standard, before, decay, dof)
+    previous = np.zeros_like(standard)
+    previous[:, 1:] = standard[:, :-1]
+    link = _transition(standard, previous, decay, dof)
     density = np.add.reduceat(link - np.log(scale), starts, axis=1)
-    whole = density.sum(axis=1)
-    behind = starts[1:]
-    hole = np.add.reduceat(decay, starts, axis=1)[:, :-1] + decay[:, behind]
-    bridge = _transition(standard[:, behind], before[:, starts[:-1]], hole, dof)
-    density[:, :-1] += link[:, behind] - bridge
-    return np.asarray(density), np.asarray(whole)
+    total = density.sum(axis=1)
+    ends = starts[1:]
+    hole = np.add.reduceat(decay, starts, axis=1)[:, :-1] + decay[:, ends]
+    bridge = _transition(standard[:, ends], previous[:, starts[:-1]], hole, dof)
+    density[:, :-1] += link[:, ends] - bridge
+    return np.asarray(density), np.asarray(total)
 
 
-def _transition(after: Array, before: Array, decay: Array, dof: Array | None) -> Array:
+def _transition(value: Array, previous: Array, decay: Array, dof: Array | None) -> Array:
     """Log density of standardised noise given its previous value, with φ = exp(−decay)."""
     shrink = -np.expm1(-2.0 * decay)
-    squares = (after - np.exp(-decay) * before) ** 2 / shrink
+    squares = (value - np.exp(-decay) * previous) ** 2 / shrink
     if dof is None:
         return np.asarray(-0.5 * (squares + np.log(2 * np.pi * shrink)))
     nu = dof[:, None]

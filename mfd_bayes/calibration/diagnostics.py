@@ -45,7 +45,7 @@ class Effort:
     def __post_init__(self) -> None:
         for name in ("ess", "r_hat"):
             value = getattr(self, name)
-            real_number(f"{name} of an effort", value, FitError, (0.0, inf), inside=True)
+            real_number(f"{name} of an effort", value, FitError, (0.0, inf), exclusive=True)
         real_number("length of an effort", self.length, FitError, (0.0, inf))
         for name in ("limit", "ensembles", "walkers", "kept", "starts"):
             whole_number(f"{name} of an effort", getattr(self, name), 1, FitError)
@@ -118,8 +118,8 @@ def autocorrelation_time(chains: Array) -> Array:
             times[k] = np.inf
             continue
         sums = 2.0 * np.cumsum(correlation / correlation[0]) - 1.0
-        inside = np.arange(steps) >= 5.0 * sums
-        times[k] = sums[np.argmax(inside)] if np.any(inside) else max(sums[-1], steps / 5.0)
+        converged = np.arange(steps) >= 5.0 * sums
+        times[k] = sums[np.argmax(converged)] if np.any(converged) else max(sums[-1], steps / 5.0)
     return times
 
 
@@ -210,11 +210,11 @@ def tempering(log_weights: Array, share: float) -> float:
     """Power of weights, at most 1, at which the effective size is a share of their number."""
     from scipy import optimize  # which takes long to import
 
-    floor, below = np.log(share * log_weights.size), log_weights - log_weights.max()
-    below = np.maximum(below, -1e6)  # that of −∞ would stay so at any power
+    floor, ratios = np.log(share * log_weights.size), log_weights - log_weights.max()
+    ratios = np.maximum(ratios, -1e6)  # that of −∞ would stay so at any power
 
     def excess(power: float) -> float:
-        scaled = power * below
+        scaled = power * ratios
         size = 2.0 * special.logsumexp(scaled) - special.logsumexp(2.0 * scaled)
         return float(size - floor)
 
@@ -248,8 +248,8 @@ def interval_rows(
     intervals: Mapping[str, Interval], model: Model | None = None
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Head and rows of a table: name, unit, median and 95 % interval of quantities, as text."""
-    known = units(model)
-    rows = [(n, known.get(n, ""), *(f"{x:.4g}" for x in three)) for n, three in intervals.items()]
+    unit_of = units(model)
+    rows = [(n, unit_of.get(n, ""), *(f"{x:.4g}" for x in three)) for n, three in intervals.items()]
     return ("quantity", "unit", "median", "2.5 %", "97.5 %"), rows
 
 
@@ -289,35 +289,35 @@ def replicate(
     """Replicated records."""
     total = len(values["offset"])
     pick = np.linspace(0, total - 1, min(n, total)).astype(np.intp)
-    taken = {name: column[pick] for name, column in values.items()}
+    draws = {name: column[pick] for name, column in values.items()}
     with np.errstate(over="ignore", invalid="ignore"):  # refused just below
-        force = posterior.force(taken) + taken["offset"][:, None]
-        noise = posterior.noise.draw(rng, posterior.trace.time, taken, posterior.travel(taken))
+        force = posterior.force(draws) + draws["offset"][:, None]
+        noise = posterior.noise.draw(rng, posterior.trace.time, draws, posterior.travel(draws))
     check_magnitude("the replicated force", force + noise)
-    return Replicas(force, force + noise, taken)
+    return Replicas(force, force + noise, draws)
 
 
 def check_predictive(
     posterior: Posterior, replicas: Replicas, gap: float | None
 ) -> tuple[PredictiveCheck, ...]:
     """Posterior predictive p-values of the test statistics, P(T(replica) ≥ T(record))."""
-    kept = slice(posterior.first, None)
-    force, replica = replicas.force[:, kept], replicas.observed[:, kept]
-    record = np.broadcast_to(np.asarray(posterior.trace.force)[kept], force.shape)
+    rows = slice(posterior.first, None)
+    force, replica = replicas.force[:, rows], replicas.observed[:, rows]
+    record = np.broadcast_to(np.asarray(posterior.trace.force)[rows], force.shape)
     half = 0.5 * float(np.ptp(record[0]))
     rests = record - force, replica - force
     lags = _lag_one(rests[0]), _lag_one(rests[1])
-    found = [
+    checks = [
         _check("residual rms, kip", "residual", _rms(rests[0]), _rms(rests[1])),
         _check("lag-one residual correlation", "correlation", *lags, scale=1.0),
     ]
     if gap is not None:
-        at = _mid_gap(posterior.trace, gap) - posterior.first
-        at = at[at >= 0]
-        if at.size:
-            sides = _rms(record[:, at]), _rms(replica[:, at])
-            found.append(_check("force at mid-gap, kip", "mid_gap", *sides, scale=half))
-    return tuple(found)
+        samples = _mid_gap(posterior.trace, gap) - posterior.first
+        samples = samples[samples >= 0]
+        if samples.size:
+            sides = _rms(record[:, samples]), _rms(replica[:, samples])
+            checks.append(_check("force at mid-gap, kip", "mid_gap", *sides, scale=half))
+    return tuple(checks)
 
 
 def _check(
@@ -326,9 +326,11 @@ def _check(
     """Check of a statistic; `scale` is what its size is a share of, by default the observed."""
     ties = np.mean(replicated == observed)
     p_value = float(np.mean(replicated > observed) + 0.5 * ties)
-    seen, expected = float(observed.mean()), float(replicated.mean())
-    whole = max(abs(seen) if scale is None else scale, 1e-12)
-    return PredictiveCheck(name, seen, expected, p_value, kind, (expected - seen) / whole)
+    measured, expected = float(observed.mean()), float(replicated.mean())
+    reference = max(abs(measured) if scale is None else scale, 1e-12)
+    return PredictiveCheck(
+        name, measured, expected, p_value, kind, (expected - measured) / reference
+    )
 
 
 def derive_from_parameters(
@@ -472,8 +474,8 @@ def least_curvature(dim: int, size: float) -> float:
     edge = (1.0 - np.sqrt(share)) ** 2
     step = (1.0 - np.sqrt(share)) ** (4.0 / 3.0) * share ** (-1.0 / 6.0) * size ** (-2.0 / 3.0)
     clear = max(edge - 2.0 * step, 0.0)
-    shown = 0.5 * (1.0 - 2.0 * share) if share < 0.25 else edge
-    smallest = min(shown, clear)
+    eigenvalue = 0.5 * (1.0 - 2.0 * share) if share < 0.25 else edge
+    smallest = min(eigenvalue, clear)
     return float(1.0 / smallest - 1.0) if smallest > 0.0 else np.inf
 
 

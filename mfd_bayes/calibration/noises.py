@@ -54,13 +54,13 @@ class Noise:
         `travel` (n, T), in, is the one since the last slip, where it is needed.
         """
         decay, scale = self._steps(time, values, travel)
-        before, after = (scale, scale) if scale.shape[1] == 1 else (scale[:, :-1], scale[:, 1:])
+        scale0, scale1 = (scale, scale) if scale.shape[1] == 1 else (scale[:, :-1], scale[:, 1:])
         shrink = -np.expm1(-2.0 * decay)
-        innovations = np.exp(-decay) * after / before * residual[:, :-1]
+        innovations = np.exp(-decay) * scale1 / scale0 * residual[:, :-1]
         np.subtract(residual[:, 1:], innovations, out=innovations)
-        innovations /= after * np.sqrt(shrink)
-        first = self._density(residual[:, :1] / scale[:, :1], values)
-        total = first + self._density(innovations, values)
+        innovations /= scale1 * np.sqrt(shrink)
+        initial = self._density(residual[:, :1] / scale[:, :1], values)
+        total = initial + self._density(innovations, values)
         # one number may stand for all steps, or all samples
         total -= 0.5 * (time.size - 1) * np.log(shrink).mean(axis=1)
         return np.asarray(total - time.size * np.log(scale).mean(axis=1))
@@ -86,9 +86,9 @@ class Noise:
     ) -> tuple[Array, Array]:
         """−log φ of the step to each sample (∞ at the first), and scale, kip, (n, T) each."""
         decay, scale = self._steps(time, values, travel)
-        whole = np.full((len(scale), time.size), np.inf)
-        whole[:, 1:] = decay
-        return whole, np.broadcast_to(scale, whole.shape)
+        full = np.full((len(scale), time.size), np.inf)
+        full[:, 1:] = decay
+        return full, np.broadcast_to(scale, full.shape)
 
     def _steps(self, time: Array, values: Values, travel: Array | None) -> tuple[Array, Array]:
         """As `memory`, without the first sample; (n, 1) what is the same of all."""

@@ -74,24 +74,33 @@ class Posterior:
     ) -> None:
         if check_trace("trace", trace, FitError).force is None:
             raise FitError("a posterior needs a trace with a measured force")
-        chosen = find_model(model) if isinstance(model, str) else model
-        if not isinstance(chosen, Model):
-            raise FitError(f"model must be a name or a model such as LuGre(), got {chosen!r}")
+        force_model = find_model(model) if isinstance(model, str) else model
+        if not isinstance(force_model, Model):
+            raise FitError(f"model must be a name or a model such as LuGre(), got {force_model!r}")
         if initial not in ("sample", "discard"):
             raise FitError(f"unknown initial {initial!r}: expected 'sample' or 'discard'")
-        file = priors if isinstance(priors, PriorFile) else load_priors(str(priors), model=chosen)
-        kind = find_noise(noise)
-        own = priors_of_fit(file, chosen, kind, sampled_start=initial == "sample")
-        names = tuple(n for n, p in own.items() if not p.fixed and n not in chosen.keeps_prior)
-        first = first_slip(trace, file, chosen) if initial == "discard" else 0
-        vars(self).update(
-            trace=trace, model=chosen, noise=kind, priors=own, names=names, first=first
+        file = (
+            priors if isinstance(priors, PriorFile) else load_priors(str(priors), model=force_model)
         )
-        if chosen.own:  # a user's model that cannot be used is refused before it is sampled
-            drawn = self.draw_prior(np.random.default_rng(0), 1)
-            values = {name: np.append(own[name].typical, drawn[name]) for name in own}
-            beside = values | {name: values[name] * (1.0 - BESIDE) for name in names}
-            chosen.check_force(chosen.theta(values), chosen.theta(beside), trace)
+        kind = find_noise(noise)
+        prior_of = priors_of_fit(file, force_model, kind, sampled_start=initial == "sample")
+        names = tuple(
+            n for n, p in prior_of.items() if not p.fixed and n not in force_model.nonidentifiable
+        )
+        start_index = first_slip(trace, file, force_model) if initial == "discard" else 0
+        vars(self).update(
+            trace=trace,
+            model=force_model,
+            noise=kind,
+            priors=prior_of,
+            names=names,
+            first=start_index,
+        )
+        if force_model.own:  # a user's model that cannot be used is refused before it is sampled
+            draw = self.draw_prior(np.random.default_rng(0), 1)
+            values = {name: np.append(prior_of[name].median, draw[name]) for name in prior_of}
+            shifted = values | {name: values[name] * (1.0 - BESIDE) for name in names}
+            force_model.check_force(force_model.theta(values), force_model.theta(shifted), trace)
 
     def _repr_html_(self) -> str:
         trace = self.trace
@@ -139,26 +148,26 @@ class Posterior:
 
     def _log_likelihood(self, points: Array, log_prior: Array) -> Array:
         """As `log_likelihood`; many points of a long record some at a time, to bound the memory."""
-        density, kept = np.full(len(points), -np.inf), slice(self.first, None)
-        inside = np.flatnonzero(np.isfinite(log_prior))
-        most = max(AT_ONCE // self.trace.samples, 1)
-        for begin in range(0, inside.size, most):
-            rows = inside[begin : begin + most]
+        density, window = np.full(len(points), -np.inf), slice(self.first, None)
+        finite = np.flatnonzero(np.isfinite(log_prior))
+        batch = max(AT_ONCE // self.trace.samples, 1)
+        for begin in range(0, finite.size, batch):
+            rows = finite[begin : begin + batch]
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 values = self.values(points[rows])
-                residual, travel = self.residual(points[rows])[:, kept], self.travel(values)
-                travel = None if travel is None else travel[:, kept]
+                residual, travel = self.residual(points[rows])[:, window], self.travel(values)
+                travel = None if travel is None else travel[:, window]
                 density[rows] = self.noise.log_density(
-                    residual, self.trace.time[kept], values, travel
+                    residual, self.trace.time[window], values, travel
                 )
         return np.where(np.isnan(density), -np.inf, density)
 
     def residual(self, q: ArrayLike, scales: Mapping[str, Array] | None = None) -> Array:
         """What the model leaves over, F_obs − F0 − F, (n, T), kip; scales as in `Model.force`."""
         values = self.values(q)
-        left = np.asarray(self.trace.force) - self.force(values, scales)
-        left -= values["offset"][:, None]
-        return left
+        residual = np.asarray(self.trace.force) - self.force(values, scales)
+        residual -= values["offset"][:, None]
+        return residual
 
     def force(
         self, values: Mapping[str, Array], scales: Mapping[str, Array] | None = None

@@ -158,11 +158,11 @@ class Prior:
 
     def __post_init__(self) -> None:
         family, figures = FAMILIES[self.family], self.figures
-        needed = set(family.figures) - ({"upper"} if self.family == "truncated_normal" else set())
-        if not needed <= set(figures) <= set(family.figures):
+        required = set(family.figures) - ({"upper"} if self.family == "truncated_normal" else set())
+        if not required <= set(figures) <= set(family.figures):
             got = f"{', '.join(sorted(figures)):.200}"
             got += "".join(f": {key} is {RENAMED[key]} now" for key in figures if key in RENAMED)
-            raise PriorError(f"{self.family} needs {' and '.join(sorted(needed))}, got {got}")
+            raise PriorError(f"{self.family} needs {' and '.join(sorted(required))}, got {got}")
         for key, value in figures.items():
             if family.figures[key] != PLACE and not value > 0:
                 raise PriorError(f"{key} must be positive, got {value:g}")
@@ -183,7 +183,7 @@ class Prior:
         return self.family == "fixed"
 
     @property
-    def typical(self) -> float:
+    def median(self) -> float:
         """Median of x."""
         return float(FAMILIES[self.family].median(self.figures))
 
@@ -213,8 +213,8 @@ class Prior:
                 density = density + width + special.log_expit(q) + special.log_expit(-q)
             elif self.lower > -np.inf:
                 density = density + q
-            inside = (np.abs(x) < RANGE) & (x - self.lower > 1.0 / RANGE)
-        return np.where(inside & np.isfinite(density), density, -np.inf)
+            in_range = (np.abs(x) < RANGE) & (x - self.lower > 1.0 / RANGE)
+        return np.where(in_range & np.isfinite(density), density, -np.inf)
 
     def draw(self, rng: np.random.Generator, n: int) -> Array:
         """Independent draws of x, (n,)."""
@@ -232,7 +232,7 @@ OF_RECORDS = (
         "place in the gap at the first sample",
         pooled=False,
     ),
-    Quantity("offset", "force", "F_0", "offset of the load cell", least=-np.inf),
+    Quantity("offset", "force", "F_0", "offset of the load cell", lower=-np.inf),
 )
 
 
@@ -241,10 +241,10 @@ def known_quantities(model: Model | None = None) -> dict[str, Quantity]:
 
     Those of a given `model` stand in place of others of the same name.
     """
-    parts = [packaged.quantities for packaged in MODELS.values()]
-    parts += [OF_RECORDS, *(noise.quantities for noise in NOISES.values())]
-    parts += [model.quantities] if model else []
-    return {quantity.name: quantity for part in parts for quantity in part}
+    groups = [packaged.quantities for packaged in MODELS.values()]
+    groups += [OF_RECORDS, *(noise.quantities for noise in NOISES.values())]
+    groups += [model.quantities] if model else []
+    return {quantity.name: quantity for group in groups for quantity in group}
 
 
 def units(model: Model | None = None) -> dict[str, str]:
@@ -264,8 +264,8 @@ def priors_of_fit(
         prior = file.parameters[q.name]
         value = prior.figures.get("value", np.nan)
         lowest, highest = (value, value) if prior.fixed else (prior.lower, prior.upper)
-        if not q.least <= lowest <= highest <= q.most:
-            bound = f"above {q.most:g}" if lowest >= q.least else f"below {q.least:g}"
+        if not q.lower <= lowest <= highest <= q.upper:
+            bound = f"above {q.upper:g}" if lowest >= q.lower else f"below {q.lower:g}"
             raise PriorError(
                 f"prior of {q.name} in {file.path.name}: {prior.family} allows values {bound}, "
                 f"which {q.name} cannot have"
@@ -317,7 +317,7 @@ class PriorFile:
         """Median width of the gap, in, of d2 and d3 or of gap; None without their priors."""
         for names in (("d2", "d3"), ("gap",)):
             if all(name in self.parameters for name in names):
-                return sum(self.parameters[name].typical for name in names)
+                return sum(self.parameters[name].median for name in names)
         return None
 
 
@@ -327,17 +327,17 @@ def find_priors(name: str, folder: Path | None = None) -> Path:
     With a `folder`, the path is relative to it and, with links resolved, must lie in it.
     """
     package = Path(__file__).parents[1]
-    home = next(p for p in (package / "priors", package.parent / "priors") if p.is_dir())
-    shipped = sorted(path.stem for path in home.glob("*.toml"))
+    directory = next(p for p in (package / "priors", package.parent / "priors") if p.is_dir())
+    shipped = sorted(path.stem for path in directory.glob("*.toml"))
     if name in shipped:
-        return home / f"{name}.toml"
+        return directory / f"{name}.toml"
     path = (folder or Path()) / name
     try:
         is_file = path.is_file()
-        outside = folder and is_file and not path.resolve().is_relative_to(folder.resolve())
+        is_outside = folder and is_file and not path.resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError, ValueError) as error:
         raise PriorError(f"prior file {name!r} cannot be found: {error}") from error
-    if outside:
+    if is_outside:
         raise PriorError(f"prior file {name!r} lies outside the campaign's folder, {folder}")
     if is_file:
         return path
@@ -349,12 +349,12 @@ def find_priors(name: str, folder: Path | None = None) -> Path:
 
 
 @contextmanager
-def _in(where: str) -> Iterator[None]:
+def _in(location: str) -> Iterator[None]:
     """Say where in a prior file an error is."""
     try:
         yield
     except (PriorError, UnitError) as error:
-        raise PriorError(f"{where}: {error}") from error
+        raise PriorError(f"{location}: {error}") from error
 
 
 def load_priors(
@@ -379,27 +379,27 @@ def load_priors(
             f"unknown key '{min(unknown)[:60]}' in prior file {path.name}; "
             "it may hold title, scales, parameters and scatter"
         )
-    known = {n: _in_model(q, model) for n, q in known_quantities(model).items() if q.sampled}
-    needed = set(known)
+    quantities = {n: _in_model(q, model) for n, q in known_quantities(model).items() if q.sampled}
+    required = set(quantities)
     if model is not None and of_others:
-        needed -= {q.name for packaged in MODELS.values() for q in packaged.quantities}
-        needed |= {q.name for q in model.quantities}
+        required -= {q.name for packaged in MODELS.values() for q in packaged.quantities}
+        required |= {q.name for q in model.quantities}
     parameters, groups = {}, {}
     for key, table in _tables(path, content, "parameters", scales).items():
         try:
             with _in(f"prior of {key[:60]} in {path.name}"):
-                parameters[key] = _prior(key, table, known)
+                parameters[key] = _prior(key, table, quantities)
         except PriorError:
-            if not of_others or key in needed:
+            if not of_others or key in required:
                 raise
     for key, table in _tables(path, content, "scatter", scales).items():
         members = table.get("parameters")
         if of_others and isinstance(members, list):
-            members = [m for m in members if not isinstance(m, str) or m in needed]
+            members = [m for m in members if not isinstance(m, str) or m in required]
             if not members:
                 continue
         with _in(f"scatter {key[:60]} in {path.name}"):
-            groups[key] = _scatter(table | {"parameters": members}, known)
+            groups[key] = _scatter(table | {"parameters": members}, quantities)
     return PriorFile(path, str(content.get("title", path.stem)), parameters, groups)
 
 
@@ -413,11 +413,11 @@ def _in_model(quantity: Quantity, model: Model | None) -> Quantity:
     return quantity if unit == quantity.unit else replace(quantity, kind=unit)
 
 
-def _scales(given: Any) -> dict[str, float]:
+def _scales(table: Any) -> dict[str, float]:
     """The device's own force, length and speed, internal units."""
-    if not isinstance(given, dict) or set(given) != set(SCALES):
+    if not isinstance(table, dict) or set(table) != set(SCALES):
         raise PriorError("it must hold force, length and speed")
-    return {k: _figure(k, given[k], kind, positive=True) for k, (kind, _) in SCALES.items()}
+    return {k: _figure(k, table[k], kind, positive=True) for k, (kind, _) in SCALES.items()}
 
 
 def _tables(
@@ -438,44 +438,44 @@ def _tables(
                 "does not state them: copy it beside the campaign and complete [scales] in it, or "
                 "let mfd-bayes init campaign.toml write a priors.toml from your records"
             )
-        number, over, under = match.groups()
-        size, unit = float(number) * scales[over], SCALES[over][1]
-        if under:
-            size, unit = size / scales[under], f"{unit}/({SCALES[under][1]})"
+        number, numerator, denominator = match.groups()
+        size, unit = float(number) * scales[numerator], SCALES[numerator][1]
+        if denominator:
+            size, unit = size / scales[denominator], f"{unit}/({SCALES[denominator][1]})"
         return f"{size!r} {unit}"
 
     return {name: {k: in_units(v) for k, v in table.items()} for name, table in tables.items()}
 
 
-def _prior(name: str, table: dict[str, Any], known: Mapping[str, Quantity]) -> Prior:
-    if name not in known:
-        raise PriorError(f"unknown parameter; expected one of {', '.join(known)}")
-    chosen = table.get("family")
-    if not isinstance(chosen, str) or chosen not in FAMILIES:
-        raise PriorError(f"family must be one of {', '.join(FAMILIES)}, got {chosen!r:.60}")
-    family, figures = FAMILIES[chosen], {}
+def _prior(name: str, table: dict[str, Any], quantities: Mapping[str, Quantity]) -> Prior:
+    if name not in quantities:
+        raise PriorError(f"unknown parameter; expected one of {', '.join(quantities)}")
+    family_name = table.get("family")
+    if not isinstance(family_name, str) or family_name not in FAMILIES:
+        raise PriorError(f"family must be one of {', '.join(FAMILIES)}, got {family_name!r:.60}")
+    family, figures = FAMILIES[family_name], {}
     for key, value in table.items():
         if key in family.figures:
-            kind = None if family.figures[key] == SHAPE else known[name].kind
+            kind = None if family.figures[key] == SHAPE else quantities[name].kind
             figures[key] = _figure(key, value, kind)
         elif key not in ("family", "reason"):
             figures[key] = np.nan  # the family refuses unknown keys
-    return Prior(chosen, figures, str(table.get("reason", "")))
+    return Prior(family_name, figures, str(table.get("reason", "")))
 
 
-def _scatter(table: dict[str, Any], known: Mapping[str, Quantity]) -> Scatter:
+def _scatter(table: dict[str, Any], quantities: Mapping[str, Quantity]) -> Scatter:
     members, keys = table["parameters"], table.keys() - {"parameters", "reason"}
     if keys not in ({"sd"}, {"above", "probability"}) or not isinstance(members, list):
         raise PriorError(
             "expected the keys parameters (a list), reason, and sd; or above and "
             "probability in place of sd, for a scatter that is likely none"
         )
-    if unknown := [m for m in members if not isinstance(m, str) or m not in known]:
+    if unknown := [m for m in members if not isinstance(m, str) or m not in quantities]:
         raise PriorError(f"unknown parameter {unknown[0]!r:.60}")
     sparse = "above" in keys
     key = "above" if sparse else "sd"
-    kinds = {known[member].kind for member in members}
-    negative = bool(members) and all(known[member].least < 0.0 for member in members)
+    kinds = {quantities[member].kind for member in members}
+    negative = bool(members) and all(quantities[member].lower < 0.0 for member in members)
     kind = kinds.pop() if negative and len(kinds) == 1 else None
     size = _figure(key, table[key], kind, positive=True)
     if sparse:

@@ -42,9 +42,9 @@ class Mode:
 
     def is_near(self, q: Array, log_prob: float) -> bool:
         """Whether a point is near by this mode's covariance, and about as high."""
-        away = q - self.q
-        near = away @ np.linalg.solve(self.covariance, away) < 4.0 * len(away)
-        return bool(near and abs(log_prob - self.log_prob) < 5.0)
+        offset = q - self.q
+        close = offset @ np.linalg.solve(self.covariance, offset) < 4.0 * len(offset)
+        return bool(close and abs(log_prob - self.log_prob) < 5.0)
 
 
 def find_modes(
@@ -68,8 +68,8 @@ def find_modes(
             ends.append(fits[i])
     modes: list[Mode] = []
     for end in ends:
-        mode = climb(posterior.log_prob, end, sd)
-        if not any(other.is_near(mode.q, mode.log_prob) for other in modes):
+        mode = maximize(posterior.log_prob, end, sd)
+        if not any(previous.is_near(mode.q, mode.log_prob) for previous in modes):
             modes.append(mode)
     return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
 
@@ -80,13 +80,13 @@ def _starting_points(posterior: Posterior, draws: Array, starts: int) -> Array:
     if len(draws) == 0:
         raise FitError("the prior has no mass at any start: widen the priors of this device")
     misfit = np.mean(posterior.residual(draws)[:, posterior.first :] ** 2, axis=1)
-    good = draws[np.argsort(misfit)[: max(starts, len(draws) // 5)]]
-    place = good / draws.std(axis=0)
-    chosen, distance = [0], np.full(len(good), np.inf)
-    while len(chosen) < min(starts, len(good)):
-        distance = np.minimum(distance, np.linalg.norm(place - place[chosen[-1]], axis=1))
-        chosen.append(int(np.argmax(distance)))
-    return good[chosen]
+    candidates = draws[np.argsort(misfit)[: max(starts, len(draws) // 5)]]
+    scaled = candidates / draws.std(axis=0)
+    indices, distance = [0], np.full(len(candidates), np.inf)
+    while len(indices) < min(starts, len(candidates)):
+        distance = np.minimum(distance, np.linalg.norm(scaled - scaled[indices[-1]], axis=1))
+        indices.append(int(np.argmax(distance)))
+    return candidates[indices]
 
 
 def _fit_residuals(posterior: Posterior, begin: Array, mean: Array, sd: Array) -> Array:
@@ -121,18 +121,18 @@ def _read_noise(posterior: Posterior, q: Array) -> Array:
     return np.where(noisy, posterior.coordinates(values)[0], q)
 
 
-def climb(density: Density, begin: Array, sd: Array) -> Mode:
+def maximize(density: Density, begin: Array, sd: Array) -> Mode:
     """Mode that BFGS reaches from a point, (dim,); `sd` (dim,) are the prior's."""
     from scipy.optimize import minimize  # which takes long to import
 
     dim, step = len(begin), 1e-4
-    around = step * np.concatenate([np.zeros((1, dim)), np.eye(dim), -np.eye(dim)])
+    stencil = step * np.concatenate([np.zeros((1, dim)), np.eye(dim), -np.eye(dim)])
 
     def loss(w: Array) -> tuple[float, Array]:
         """Loss and its slope by central differences, in one batch."""
-        here, *near = -np.maximum(density(begin + sd * (w + around)), LOWEST)
-        higher, lower = np.reshape(near, (2, dim))
-        return float(here), (higher - lower) / (2 * step)
+        centre, *neighbours = -np.maximum(density(begin + sd * (w + stencil)), LOWEST)
+        higher, lower = np.reshape(neighbours, (2, dim))
+        return float(centre), (higher - lower) / (2 * step)
 
     fit = minimize(
         loss,
@@ -173,9 +173,9 @@ def least_squares(residual: Callable[[Array, Rows], Array], begin: Array, reach:
     much a vector where many are computed together.
     """
 
-    def misfit(at: Array, starts: Rows) -> Array:
-        left = residual(at, starts)
-        squares = np.einsum("nt,nt->n", left, left) + np.sum(at**2, axis=1)
+    def misfit(x: Array, starts: Rows) -> Array:
+        residuals = residual(x, starts)
+        squares = np.einsum("nt,nt->n", residuals, residuals) + np.sum(x**2, axis=1)
         return np.where(np.isnan(squares), np.inf, squares)
 
     (m, d), step = begin.shape, 1e-4
@@ -187,31 +187,31 @@ def least_squares(residual: Callable[[Array, Rows], Array], begin: Array, reach:
     for _ in range(STEPS):
         size = 1
         while moved.size:
-            some, moved = moved[:size], moved[size:]
-            near = np.repeat(points[some, None], d + 1, axis=1)
-            near[:, range(1, d + 1), range(d)] += step
-            left = residual(near.reshape(-1, d), np.repeat(some, d + 1))
-            left = left.reshape(some.size, d + 1, -1)
+            rows, moved = moved[:size], moved[size:]
+            shifted = np.repeat(points[rows, None], d + 1, axis=1)
+            shifted[:, range(1, d + 1), range(d)] += step
+            residuals = residual(shifted.reshape(-1, d), np.repeat(rows, d + 1))
+            residuals = residuals.reshape(rows.size, d + 1, -1)
             with np.errstate(invalid="ignore"):
-                slopes = (left[:, 1:] - left[:, :1]) / step
+                slopes = (residuals[:, 1:] - residuals[:, :1]) / step
                 slopes[~np.isfinite(slopes).all(axis=2)] = 0.0  # a slope that is no number: stay
-                there = np.nan_to_num(left[:, 0], posinf=0.0, neginf=0.0)
-            normal[some] = slopes @ slopes.swapaxes(1, 2) + np.eye(d)
-            slope[some] = (slopes @ there[..., None])[..., 0] + points[some]
-            size = max(1, MOST // (left.shape[2] * (d + 1)))
-        at, pull = points[going], slope[going]
-        stays = ((at >= reach) & (pull < 0.0)) | ((at <= -reach) & (pull > 0.0))
+                base = np.nan_to_num(residuals[:, 0], posinf=0.0, neginf=0.0)
+            normal[rows] = slopes @ slopes.swapaxes(1, 2) + np.eye(d)
+            slope[rows] = (slopes @ base[..., None])[..., 0] + points[rows]
+            size = max(1, MOST // (residuals.shape[2] * (d + 1)))
+        x, pull = points[going], slope[going]
+        stays = ((x >= reach) & (pull < 0.0)) | ((x <= -reach) & (pull > 0.0))
         system = np.where(stays[:, :, None] | stays[:, None, :], 0.0, normal[going])
         diagonal = np.einsum("nii->ni", normal[going]) * (1.0 + damping[going, None])
         system[:, range(d), range(d)] = np.where(stays, 1.0, diagonal)
         step_of = -np.linalg.solve(system, np.where(stays, 0.0, pull)[..., None])[..., 0]
-        ahead = np.clip(at + step_of, -reach, reach)
-        new = misfit(ahead, going)
-        gain = squares[going] - new
+        ahead = np.clip(x + step_of, -reach, reach)
+        trial = misfit(ahead, going)
+        gain = squares[going] - trial
         better = gain > 0.0
         small = better & (gain < TOLERANCE * squares[going]) & (damping[going] < 0.01)
         moved = going[better]
-        points[moved], squares[moved] = ahead[better], new[better]
+        points[moved], squares[moved] = ahead[better], trial[better]
         damping[going] = np.clip(damping[going] * np.where(better, 0.1, 5.0), 1e-9, 1e9)
         refused[going] = np.where(better, 0, refused[going] + 1)
         going = going[~small & (refused[going] < REFUSED)]
@@ -305,15 +305,17 @@ class Mixture:
         standard = (z @ whitening - places).reshape(len(z), *self.means.shape)
         squares = np.einsum("nki,nki->kn", standard, standard)
         dof, dim = self.dof[:, None], self.means.shape[1]
-        parts = constants[:, None] - 0.5 * (dof + dim) * np.log1p(squares / dof)
-        return special.logsumexp(parts, axis=0) + slope
+        terms = constants[:, None] - 0.5 * (dof + dim) * np.log1p(squares / dof)
+        return special.logsumexp(terms, axis=0) + slope
 
     def draw(self, rng: np.random.Generator, n: int) -> Array:
         """Independent draws, (n, dim)."""
-        part = rng.choice(self.weights.size, size=n, p=self.weights)
+        component = rng.choice(self.weights.size, size=n, p=self.weights)
         normal = rng.standard_normal((n, self.means.shape[1]))
-        normal /= np.sqrt(rng.chisquare(self.dof[part]) / self.dof[part])[:, None]
-        draws: Array = self.means[part] + np.einsum("nij,nj->ni", self.factors[part], normal)
+        normal /= np.sqrt(rng.chisquare(self.dof[component]) / self.dof[component])[:, None]
+        draws: Array = self.means[component] + np.einsum(
+            "nij,nj->ni", self.factors[component], normal
+        )
         return draws if self.warp is None else self.warp.original(draws)
 
 
@@ -326,13 +328,13 @@ class Proposal:
 
     def log_density(self, q: Array) -> Array:
         """Normalised log density, (n, dim) -> (n,)."""
-        densities = np.stack([part.log_density(q) for part in self.parts])
+        densities = np.stack([component.log_density(q) for component in self.parts])
         return special.logsumexp(densities + np.log(self.shares)[:, None], axis=0)
 
     def draw(self, rng: np.random.Generator, n: int) -> Array:
         """Independent draws, (n, dim)."""
         counts = rng.multinomial(n, self.shares)
-        draws = [part.draw(rng, k) for part, k in zip(self.parts, counts, strict=True)]
+        draws = [component.draw(rng, k) for component, k in zip(self.parts, counts, strict=True)]
         order: NDArray[np.intp] = rng.permutation(n)
         return np.concatenate(draws)[order]
 
@@ -342,7 +344,7 @@ def fit_mixture(
     rng: np.random.Generator,
     weights: Array | None = None,
     *,
-    parts: int = PARTS,
+    components: int = PARTS,
     warped: bool = False,
 ) -> Mixture:
     """Mixture that resembles draws and is somewhat wider.
@@ -362,22 +364,22 @@ def fit_mixture(
     overall = np.atleast_2d(np.cov(draws.T, aweights=weights)) + 1e-8 * np.eye(dim)
     factor = np.linalg.cholesky(overall)
     standard = np.linalg.solve(factor, (draws - middle).T).T
-    parts = max(1, min(parts, int(size) // (4 * dim)))
-    means = standard[rng.choice(n, parts, replace=False, p=weights)]
-    covariances = np.tile(0.7 * np.eye(dim), (parts, 1, 1))
-    shares, prior = np.full(parts, 1.0 / parts), SHRINKAGE * dim
-    for _ in range(ITERATIONS if parts > 1 else 1):
+    components = max(1, min(components, int(size) // (4 * dim)))
+    means = standard[rng.choice(n, components, replace=False, p=weights)]
+    covariances = np.tile(0.7 * np.eye(dim), (components, 1, 1))
+    shares, prior = np.full(components, 1.0 / components), SHRINKAGE * dim
+    for _ in range(ITERATIONS if components > 1 else 1):
         factors = np.linalg.cholesky(covariances)
         inverses = np.linalg.inv(factors).transpose(0, 2, 1)
-        away = (standard - means[:, None]) @ inverses
-        squares = np.einsum("kni,kni->kn", away, away)
+        deviations = (standard - means[:, None]) @ inverses
+        squares = np.einsum("kni,kni->kn", deviations, deviations)
         logs = -0.5 * (squares if warped else (dof + dim) * np.log1p(squares / dof))
         logs -= np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)[:, None]
         members = special.softmax(logs + np.log(shares)[:, None], axis=0) * counts
         mass = members.sum(axis=1) + 1e-9
         means = (members @ standard) / mass[:, None]
-        away = (standard - means[:, None]) * np.sqrt(members)[..., None]
-        scatter = away.transpose(0, 2, 1) @ away
+        deviations = (standard - means[:, None]) * np.sqrt(members)[..., None]
+        scatter = deviations.transpose(0, 2, 1) @ deviations
         pooled = 0.5 * np.eye(dim) if warped else scatter.sum(axis=0) / size + 1e-9 * np.eye(dim)
         scatter += prior * pooled
         covariances = scatter / (mass + prior)[:, None, None]
@@ -387,12 +389,12 @@ def fit_mixture(
         np.append((1.0 - wide) * shares, wide),
         np.vstack([middle + means @ factor.T, middle]),
         np.linalg.cholesky(spreads),
-        np.append(np.full(parts, dof), 8.0),
+        np.append(np.full(components, dof), 8.0),
     )
 
 
-def learn(
-    draws: Array, parts: int, rng: np.random.Generator, anchors: Mixture | Proposal
+def fit_proposal(
+    draws: Array, components: int, rng: np.random.Generator, anchors: Mixture | Proposal
 ) -> Proposal:
     """Proposal that resembles walkers' draws (n, dim), with a share of anchors.
 
@@ -402,32 +404,32 @@ def learn(
     if len(draws) > LEARNED:
         draws = draws[rng.choice(len(draws), LEARNED, replace=False)]
     warp = Warp.of(draws)
-    fitted = fit_mixture(warp.normal(draws)[0], rng, parts=parts, warped=True)
+    fitted = fit_mixture(warp.normal(draws)[0], rng, components=components, warped=True)
     return Proposal((1.0 - ANCHORED, ANCHORED), (replace(fitted, warp=warp), anchors))
 
 
-def around_modes(modes: Sequence[Mode], power: float = 1.0) -> Mixture:
+def laplace_mixture(modes: Sequence[Mode], power: float = 1.0) -> Mixture:
     """Laplace's approximation to a power of the density, at every mode that may matter.
 
     Laplace's masses are rough, so each mode's weight is the cube root of its mass. Modes whose
     log mass is more than 20 below the best are left out.
     """
     best = max(mode.log_evidence for mode in modes)
-    kept = [mode for mode in modes if mode.log_evidence > best - 20.0]
-    weights = np.exp([(mode.log_evidence - best) / 3.0 for mode in kept])
-    covariances = np.array([mode.covariance / power for mode in kept])
+    major = [mode for mode in modes if mode.log_evidence > best - 20.0]
+    weights = np.exp([(mode.log_evidence - best) / 3.0 for mode in major])
+    covariances = np.array([mode.covariance / power for mode in major])
     return Mixture(
         weights / weights.sum(),
-        np.array([mode.q for mode in kept]),
+        np.array([mode.q for mode in major]),
         np.asarray(np.linalg.cholesky(covariances)),
-        np.full(len(kept), 6.0),
+        np.full(len(major), 6.0),
     )
 
 
 def nearest_modes(modes: Sequence[Mode], q: Array) -> NDArray[np.intp]:
     """Mode whose Laplace approximation is densest at each of the draws (chain, draw, dim)."""
     flat = q.reshape(-1, q.shape[-1])
-    heights = [around_modes([mode]).log_density(flat) for mode in modes]
+    heights = [laplace_mixture([mode]).log_density(flat) for mode in modes]
     return np.asarray(np.argmax(heights, axis=0).reshape(q.shape[:2]))
 
 
@@ -463,21 +465,21 @@ def log_evidence(
     the draws of the other half, which it has not seen. Then the halves change places, and the mean
     of both counts.
     """
-    first, second = slice(0, None, 2), slice(1, None, 2)
-    parts = [
-        _bridge(density, q[fitted], q[kept], log_prob[kept], walkers, rng)
-        for fitted, kept in ((first, second), (second, first))
+    evens, odds = slice(0, None, 2), slice(1, None, 2)
+    estimates = [
+        _bridge(density, q[fitted], q[target], log_prob[target], walkers, rng)
+        for fitted, target in ((evens, odds), (odds, evens))
     ]
-    values, errors = np.array([(part.value, part.error) for part in parts]).T
+    values, errors = np.array([(estimate.value, estimate.error) for estimate in estimates]).T
     # the two may differ by more than their errors say, where a mixture misses something
     error = max(0.5 * float(np.hypot(*errors)), 0.5 * float(np.ptp(values)))
-    return Evidence(float(values.mean()), error, max(part.pareto_k for part in parts))
+    return Evidence(float(values.mean()), error, max(estimate.pareto_k for estimate in estimates))
 
 
 def _bridge(
     density: Density,
     fitted: Array,
-    kept: Array,
+    target: Array,
     log_prob: Array,
     walkers: int,
     rng: np.random.Generator,
@@ -485,21 +487,21 @@ def _bridge(
     """Log evidence from the draws that are kept, with a proposal fitted to the others."""
     dim = fitted.shape[-1]
     flat = fitted.reshape(-1, dim)
-    proposal = learn(flat, PARTS, rng, fit_mixture(flat, rng))
+    proposal = fit_proposal(flat, PARTS, rng, fit_mixture(flat, rng))
     proposed = proposal.draw(rng, PROPOSED)
-    above = density(proposed) - proposal.log_density(proposed)
-    below = log_prob - proposal.log_density(kept.reshape(-1, dim)).reshape(log_prob.shape)
-    k = psis(above)[1]
-    sizes = np.array([_size(below, walkers), PROPOSED])
+    proposed_ratio = density(proposed) - proposal.log_density(proposed)
+    target_ratio = log_prob - proposal.log_density(target.reshape(-1, dim)).reshape(log_prob.shape)
+    k = psis(proposed_ratio)[1]
+    sizes = np.array([_size(target_ratio, walkers), PROPOSED])
     logs = np.log(sizes / sizes.sum())
-    value = float(special.logsumexp(above) - np.log(PROPOSED))
+    value = float(special.logsumexp(proposed_ratio) - np.log(PROPOSED))
     for _ in range(1000):
-        before = value
-        top = above - np.logaddexp(logs[0] + above, logs[1] + value)
-        bottom = -np.logaddexp(logs[0] + below, logs[1] + value)
+        previous = value
+        top = proposed_ratio - np.logaddexp(logs[0] + proposed_ratio, logs[1] + value)
+        bottom = -np.logaddexp(logs[0] + target_ratio, logs[1] + value)
         value = float(special.logsumexp(top) - special.logsumexp(bottom))
-        value += float(np.log(below.size / PROPOSED))
-        if abs(value - before) < 1e-8:
+        value += float(np.log(target_ratio.size / PROPOSED))
+        if abs(value - previous) < 1e-8:
             break
     # relative variances of both means (Frühwirth-Schnatter, 2004)
     top, bottom = np.exp(top - top.max()), np.exp(bottom - bottom.max())
@@ -513,7 +515,7 @@ def _size(values: Array, walkers: int) -> float:
     return max(float(measure_draws(values, walkers).ess_bulk[0]), 1.0)
 
 
-def join_evidence(parts: Sequence[Evidence]) -> Evidence:
+def join_evidence(evidences: Sequence[Evidence]) -> Evidence:
     """Log evidence of several tests that are fitted separately: the sum."""
-    values, errors, k = np.array([(e.value, e.error, e.pareto_k) for e in parts]).T
+    values, errors, k = np.array([(e.value, e.error, e.pareto_k) for e in evidences]).T
     return Evidence(float(values.sum()), float(np.linalg.norm(errors)), float(k.max()))

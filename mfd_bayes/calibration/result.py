@@ -25,7 +25,7 @@ from mfd_bayes.calibration.priors import PriorFile, units
 from mfd_bayes.calibration.proposal import Evidence, log_evidence, nearest_modes
 from mfd_bayes.errors import FitError, MfdError, StoreError, hash_file
 from mfd_bayes.friction.model import Model
-from mfd_bayes.jobs.job import Outcome, Progress, State, Step
+from mfd_bayes.jobs.job import JobState, Outcome, Progress, Step
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.cards import grid
 from mfd_bayes.store.netcdf import CalibratedTest, StoredTest, load_test, save_test
@@ -73,21 +73,21 @@ class Task:
         """Its posterior."""
         return (self.file,)
 
-    def needs(self, out: Path) -> tuple[str, ...]:
+    def needs(self, folder: Path) -> tuple[str, ...]:
         """Nothing of the run folder."""
         return ()
 
     def posterior(self) -> Posterior:
         """Posterior of the test."""
         posterior = Posterior(self.trace, self.priors, self.noise, self.model, initial=self.initial)
-        if (left := self.trace.samples - posterior.first) < LEAST_AFTER:
+        if (samples := self.trace.samples - posterior.first) < LEAST_AFTER:
             raise FitError(
-                f"initial = 'discard' leaves {left} samples of {self.id} after its first long "
+                f"initial = 'discard' leaves {samples} samples of {self.id} after its first long "
                 f"stroke, and at least {LEAST_AFTER} are needed"
             )
         return posterior
 
-    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
+    def run(self, folder: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Sample the test's posterior and store it in a run folder."""
         from mfd_bayes.calibration.sampling import sample  # emcee takes long to import
 
@@ -101,22 +101,22 @@ class Task:
                 self.seed,
                 report=lambda progress: observe(Step(self.id, "sampling", progress)),
             )
-            others: list[OtherFit] = []
+            fits: list[OtherFit] = []
             if self.checks_noise:
                 observe(Step(self.id, "checking the noise"))
                 for noise in dict.fromkeys(("ou", "staged", *NOISES)):
                     if noise != self.noise:
-                        others.append(fit_other(replace(self, noise=noise)))
-            save_test(out / self.file, _stored_of(self, posterior, draws, others))
+                        fits.append(fit_other(replace(self, noise=noise)))
+            save_test(folder / self.file, _stored_of(self, posterior, draws, fits))
         except StoreError:
             raise
         except MfdError as error:
-            observe(Step(self.id, State.FAILED, message=str(error)))
-            return Outcome(self.id, State.FAILED, time.perf_counter() - began, str(error))
+            observe(Step(self.id, JobState.FAILED, message=str(error)))
+            return Outcome(self.id, JobState.FAILED, time.perf_counter() - began, str(error))
         seconds, steps = time.perf_counter() - began, draws.chains.steps
         worst = draws.convergence.worst_r_hat, draws.convergence.worst_ess
-        observe(Step(self.id, State.DONE, Progress(steps, steps, *worst, seconds)))
-        return Outcome(self.id, State.DONE, seconds)
+        observe(Step(self.id, JobState.DONE, Progress(steps, steps, *worst, seconds)))
+        return Outcome(self.id, JobState.DONE, seconds)
 
 
 # --- other noises: does the noise model decide a test's parameters?
@@ -133,13 +133,13 @@ class OtherFit:
     error: str = ""  # why there is no fit, if there is none
 
 
-def moves(own: Sequence[float], other: Sequence[float]) -> bool:
+def moves(reference: Sequence[float], alternative: Sequence[float]) -> bool:
     """Whether another noise moves a quantity: 2.5 %, 50 % and 97.5 % quantile under each.
 
     Its median moves by more than `HALF` of its 95 % interval, or the intervals do not overlap.
     """
-    (low, middle, high), (below, there, above) = own, other
-    return abs(there - middle) > HALF * (high - low) or below > high or above < low
+    (low, middle, high), (alt_low, alt_middle, alt_high) = reference, alternative
+    return abs(alt_middle - middle) > HALF * (high - low) or alt_low > high or alt_high < low
 
 
 def fit_other(task: Task) -> OtherFit:
@@ -179,7 +179,7 @@ def quantiles_of(posterior: Posterior, values: Mapping[str, Array]) -> dict[str,
 
 
 def _stored_of(
-    task: Task, posterior: Posterior, draws: Draws, others: list[OtherFit]
+    task: Task, posterior: Posterior, draws: Draws, fits: list[OtherFit]
 ) -> CalibratedTest:
     """Draws of all quantities, the model's parameters first, with replicated records."""
     values = {name: draws.theta[..., k] for k, name in enumerate(posterior.model.parameters)}
@@ -189,8 +189,8 @@ def _stored_of(
     replicas = replicate(posterior, flat, rng, REPLICAS * len(draws.q))
     nearest = nearest_modes(draws.modes, draws.q)[..., None] == np.arange(len(draws.modes))
     mode_values = [
-        {n: float(np.median(x[at])) if at.any() else np.nan for n, x in draws.values.items()}
-        for at in np.moveaxis(nearest, -1, 0)
+        {n: float(np.median(x[mask])) if mask.any() else np.nan for n, x in draws.values.items()}
+        for mask in np.moveaxis(nearest, -1, 0)
     ]
     chains, convergence = draws.chains, {}
     for name, value in values.items():
@@ -216,7 +216,7 @@ def _stored_of(
         "wall_time": draws.wall_time,
         "first": posterior.first,
         "convergence": convergence,
-        "other_noises": [asdict(other) for other in others],
+        "other_noises": [asdict(fit) for fit in fits],
     }
     return CalibratedTest(
         values=values,

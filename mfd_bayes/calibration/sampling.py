@@ -32,9 +32,9 @@ from mfd_bayes.calibration.proposal import (
     Mode,
     Proposal,
     Rows,
-    around_modes,
     find_modes,
-    learn,
+    fit_proposal,
+    laplace_mixture,
     log_evidence,
 )
 from mfd_bayes.errors import FitError, whole_number
@@ -46,7 +46,7 @@ Array = NDArray[np.float64]
 STORED = 3000  # steps stored for each walker; beyond it, every second one is dropped
 ROUND = 20  # steps after which the proposal is learned again during the warm-up
 ROUNDS = 12  # largest number of such rounds at full power; fewer where they no longer help
-HEAT = (0.3, 0.35, 0.5, 0.65, 0.8)  # powers of the density in the first rounds
+INVERSE_TEMPERATURES = (0.3, 0.35, 0.5, 0.65, 0.8)  # powers of the density in the first rounds
 BROAD = 0.5  # the proposal learned at this power stays part of all later ones
 FIRST = 80  # largest number of kept steps after which convergence is measured first
 SLOW = 40.0  # autocorrelation time, steps, above which the proposal is learned again
@@ -110,18 +110,18 @@ def sample_density(
     while True:
         walk.run(max(1, min(wait, effort.limit - walk.steps)))
         chains = walk.chains(derived)
-        needed = max(effort.length * max(chains.slowest, LEAST), 1e-9)
-        done, r_hat, ess = walk.kept / needed, math.nan, math.nan
-        missing = f"{walk.kept} of {needed:.0f} kept steps"
-        if long_enough := done >= 1.0:  # only now is the convergence worth measuring
-            done = chains.convergence.share(effort.r_hat, effort.ess)
+        required = max(effort.length * max(chains.slowest, LEAST), 1e-9)
+        fraction, r_hat, ess = walk.kept / required, math.nan, math.nan
+        missing = f"{walk.kept} of {required:.0f} kept steps"
+        if long_enough := fraction >= 1.0:  # only now is the convergence worth measuring
+            fraction = chains.convergence.share(effort.r_hat, effort.ess)
             r_hat, ess = chains.convergence.worst_r_hat, chains.convergence.worst_ess
             lacking = [] if r_hat <= effort.r_hat else [f"R-hat {effort.r_hat:g}"]
             lacking += [] if ess >= effort.ess else [f"ESS {effort.ess:g}"]
             missing = " and ".join(lacking)
-        left = walk.kept * (1.0 / done - 1.0) if done > 0.0 else math.inf
+        remaining = walk.kept * (1.0 / fraction - 1.0) if fraction > 0.0 else math.inf
         if report is not None:
-            share = walk.steps / max(walk.steps, min(walk.steps + left, effort.limit))
+            share = walk.steps / max(walk.steps, min(walk.steps + remaining, effort.limit))
             seconds = time.perf_counter() - began
             report(Progress(walk.steps, effort.limit, r_hat, ess, seconds, share, missing))
         reached = long_enough and chains.convergence.reached(effort.r_hat, effort.ess)
@@ -130,9 +130,9 @@ def sample_density(
         size = chains.walkers * effort.ensembles * walk.kept / max(chains.slowest, 1.0)
         slow = size < 0.5 * effort.ess or chains.slowest > SLOW
         if slow and 2 * walk.steps <= effort.limit and walk.learn_again():
-            left = math.inf
+            remaining = math.inf
         longest = max(FIRST // 2, walk.kept // 2)
-        wait = max(ROUND, walk.kept // 4, math.ceil(min(1.1 * left, longest)))
+        wait = max(ROUND, walk.kept // 4, math.ceil(min(1.1 * remaining, longest)))
 
 
 class _Walk:
@@ -144,13 +144,13 @@ class _Walk:
         dim = len(modes[0].q)
         self._effort, self._rng = effort, rng
         self._walkers = 2 * max(effort.walkers // 2, dim + 3)
-        self._power = HEAT[0]
+        self._power = INVERSE_TEMPERATURES[0]
 
         def powered(q: Array) -> Array:
             return self._power * density(q)
 
-        self._anchors: Mixture | Proposal = around_modes(modes, self._power)
-        self._independent = Independent(self._anchors, rng)
+        self._anchors: Mixture | Proposal = laplace_mixture(modes, self._power)
+        self._independent = IndependenceMove(self._anchors, rng)
         self._sampler = emcee.EnsembleSampler(
             effort.ensembles * self._walkers,
             dim,
@@ -160,7 +160,7 @@ class _Walk:
         )
         # emcee takes a RandomState's state and silently ignores anything else
         twister = np.random.RandomState(int(rng.integers(2**32))).get_state()
-        begin = disperse(powered, self._anchors, self._sampler.nwalkers, rng)
+        begin = initial_walkers(powered, self._anchors, self._sampler.nwalkers, rng)
         self._state = emcee.State(begin, random_state=twister)
         self.steps = self._learned = 0
         self._freeze()
@@ -170,9 +170,9 @@ class _Walk:
 
         A round costs its steps; a better acceptance rate shortens what is kept in proportion.
         """
-        most = self._effort.limit // 4
-        for power in HEAT:
-            if self.steps >= most:
+        max_steps = self._effort.limit // 4
+        for power in INVERSE_TEMPERATURES:
+            if self.steps >= max_steps:
                 break
             self._raise(power)
             self.run(ROUND)
@@ -180,13 +180,13 @@ class _Walk:
             if power == BROAD:
                 self._anchors = Proposal((0.3, 0.7), (self._anchors, self._independent.source))
         self._raise(1.0)
-        worth, best = 1.0 + ROUND / max(self._effort.length * LEAST, 1.0), 0.0
+        gain, best = 1.0 + ROUND / max(self._effort.length * LEAST, 1.0), 0.0
         for _ in range(ROUNDS):
             self._independent.proposed = self._independent.accepted = 0
             self.run(ROUND)
             accepted = self._independent.accepted / max(self._independent.proposed, 1)
             self._learn(0.5)
-            if accepted < worth * best or self.steps >= most:
+            if accepted < gain * best or self.steps >= max_steps:
                 break
             best = accepted
         self._freeze()
@@ -212,8 +212,8 @@ class _Walk:
         late = self._coords[-math.ceil(share * len(self._coords)) :]
         self._learned = len(late) * self._stride
         draws = np.concatenate(late)
-        parts = int(np.clip(len(draws) // (REQUIRED * draws.shape[1]), 1, PARTS))
-        self._independent.source = learn(draws, parts, self._rng, self._anchors)
+        components = int(np.clip(len(draws) // (REQUIRED * draws.shape[1]), 1, PARTS))
+        self._independent.source = fit_proposal(draws, components, self._rng, self._anchors)
 
     def _freeze(self) -> None:
         """Drop the stored steps: all kept draws must come from one proposal."""
@@ -245,14 +245,14 @@ class _Walk:
         full = np.swapaxes(np.reshape(self._coords, (*shape, -1)), 0, 1)
         log_prob = np.swapaxes(np.reshape(self._log_prob, shape), 0, 1)
         thin = max(1, len(self._coords) * walkers // self._effort.kept)
-        kept, kept_log_prob = full[:, thin - 1 :: thin], log_prob[:, thin - 1 :: thin]
-        watched = [kept, kept_log_prob[..., None]]
+        thinned, thinned_log_prob = full[:, thin - 1 :: thin], log_prob[:, thin - 1 :: thin]
+        watched = [thinned, thinned_log_prob[..., None]]
         if derived is not None:
-            others = derived(kept.reshape(-1, kept.shape[-1]))
-            watched.append(others.reshape(*kept.shape[:-1], -1))
+            extra = derived(thinned.reshape(-1, thinned.shape[-1]))
+            watched.append(extra.reshape(*thinned.shape[:-1], -1))
         return Chains(
-            q=np.swapaxes(kept, 1, 2).reshape(ensembles, -1, full.shape[-1]),
-            log_prob=np.swapaxes(kept_log_prob, 1, 2).reshape(ensembles, -1),
+            q=np.swapaxes(thinned, 1, 2).reshape(ensembles, -1, full.shape[-1]),
+            log_prob=np.swapaxes(thinned_log_prob, 1, 2).reshape(ensembles, -1),
             walkers=walkers,
             steps=self.steps,
             thin=thin * self._stride,
@@ -272,9 +272,9 @@ def accept(
     """Walkers of those at `index` that move to their proposals, by Metropolis and Hastings."""
     log_prob = np.asarray(model.compute_log_prob_fn(proposal)[0])
     gain = log_prob - state.log_prob[index] + factor
-    taken = np.log(model.random.rand(index.size)) < gain
-    moved: Rows = index[taken]
-    state.coords[moved], state.log_prob[moved] = proposal[taken], log_prob[taken]
+    accepted = np.log(model.random.rand(index.size)) < gain
+    moved: Rows = index[accepted]
+    state.coords[moved], state.log_prob[moved] = proposal[accepted], log_prob[accepted]
     return moved
 
 
@@ -299,17 +299,17 @@ class WithinEnsembles(emcee.moves.Move):  # type: ignore[misc]  # emcee is not t
         order += walkers * np.arange(self.ensembles)[:, None]
         halves = order[:, : walkers // 2], order[:, walkers // 2 :]
         accepted = np.zeros(total, dtype=bool)
-        for moving, still in (halves, halves[::-1]):
+        for moving, resting in (halves, halves[::-1]):
             pairs = [
                 self.move.get_proposal(state.coords[m], [state.coords[s]], model.random)
-                for m, s in zip(moving, still, strict=True)
+                for m, s in zip(moving, resting, strict=True)
             ]
-            proposal, factor = (np.concatenate(part) for part in zip(*pairs, strict=True))
+            proposal, factor = (np.concatenate(arrays) for arrays in zip(*pairs, strict=True))
             accepted[accept(model, state, moving.reshape(-1), proposal, factor)] = True
         return state, accepted
 
 
-class Independent(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
+class IndependenceMove(emcee.moves.Move):  # type: ignore[misc]  # emcee is not typed
     """Metropolis–Hastings with proposals that do not depend on a walker's position.
 
     Walkers are independent here, so that all move in one batch. The target stays invariant
@@ -339,14 +339,14 @@ def evolution(dim: int, ensembles: int, weight: float) -> list[tuple[emcee.moves
     One step in five moves by the full difference of two walkers, so that it can jump between
     modes. emcee 3.1.6's DESnookerMove does not sample the target and is not used.
     """
-    usual = 2.38 / np.sqrt(2 * dim)
+    gamma = 2.38 / np.sqrt(2 * dim)
     return [
-        (WithinEnsembles(emcee.moves.DEMove(sigma=1e-3, gamma0=usual), ensembles), 0.8 * weight),
+        (WithinEnsembles(emcee.moves.DEMove(sigma=1e-3, gamma0=gamma), ensembles), 0.8 * weight),
         (WithinEnsembles(emcee.moves.DEMove(sigma=1e-3, gamma0=1.0), ensembles), 0.2 * weight),
     ]
 
 
-def disperse(
+def initial_walkers(
     density: Density, anchors: Mixture | Proposal, walkers: int, rng: np.random.Generator
 ) -> Array:
     """Starting points (walkers, dim): draws around the modes, chosen by importance weights."""
@@ -455,7 +455,7 @@ def sample(
     )
     flat, shape = chains.q.reshape(-1, posterior.dim), chains.q.shape[:2]
     values = posterior.values(flat)
-    for name in posterior.model.keeps_prior:
+    for name in posterior.model.nonidentifiable:
         values[name] = posterior.priors[name].draw(rng, len(flat))
     log_prior = posterior.log_prior(flat).reshape(shape)
     return Draws(

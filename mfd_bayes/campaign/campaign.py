@@ -123,8 +123,8 @@ class Campaign:
 
     def since(self, test: Test) -> float:
         """Time in a test's file at which the test before it ended, s, if it is in the same file."""
-        same = (t for t in self.tests if t.id == test.after and t.path == test.path)
-        return max((t.window[1] for t in same if t.window), default=-math.inf)
+        earlier = (t for t in self.tests if t.id == test.after and t.path == test.path)
+        return max((t.window[1] for t in earlier if t.window), default=-math.inf)
 
 
 def load_campaign(
@@ -143,11 +143,14 @@ def load_campaign(
     except (OSError, RuntimeError) as error:
         raise CampaignError(f"cannot read {path}: {error}") from error
     general = content.get("campaign")
-    own = general.get("model") if isinstance(general, dict) else None
-    if not (isinstance(own, str) and (own in models.model_names() or models.file_of(own))):
-        own = General().model  # what is wrong with it is said with the other faults
-    force_model = models.find_model(model or own, folder)
-    axes, replaced = force_model.axes, model not in (None, "", own)
+    file_model = general.get("model") if isinstance(general, dict) else None
+    if not (
+        isinstance(file_model, str)
+        and (file_model in models.model_names() or models.file_of(file_model))
+    ):
+        file_model = General().model  # what is wrong with it is said with the other faults
+    force_model = models.find_model(model or file_model, folder)
+    axes, replaced = force_model.axes, model not in (None, "", file_model)
     if not axes.timed and isinstance(general, dict) and "rate" in general:
         raise CampaignError(
             f"campaign.rate in {path}: samples are numbered for a rate-independent model; leave "
@@ -156,8 +159,8 @@ def load_campaign(
     settings = _checked(path, content, axes)
     if not replaced:
         _check_own_names(path, settings, force_model)
-    chosen = {"model": model or settings.model, "noise": noise or settings.noise}
-    table, laws = settings.campaign.model_copy(update=chosen), _laws_of(settings, force_model)
+    overrides = {"model": model or settings.model, "noise": noise or settings.noise}
+    table, laws = settings.campaign.model_copy(update=overrides), _laws_of(settings, force_model)
     settings = settings.model_copy(update={"campaign": table, "laws": laws})
     tests = []
     for entry in settings.test:
@@ -204,10 +207,10 @@ def _check_own_names(path: Path, settings: CampaignFile, model: Model) -> None:
     """Refuse laws and dependences of what a model of the user's own does not have."""
     if settings.model in models.MODELS:
         return
-    for table, known in (("laws", model.laws), ("dependence", model.parameters)):
+    for table, allowed in (("laws", model.laws), ("dependence", model.parameters)):
         for name in getattr(settings, table):
-            if name not in known:
-                hint = nearest(name, tuple(known)) if known else "it has none"
+            if name not in allowed:
+                hint = nearest(name, tuple(allowed)) if allowed else "it has none"
                 raise CampaignError(
                     f"unknown key {name!r} in [{table}] of {path}, by {model.where}; {hint}"
                 )
@@ -224,17 +227,17 @@ def _laws_of(settings: CampaignFile, model: Model) -> dict[str, str]:
 
 def _find_file(path: Path, folder: Path, entry: TestTable) -> Path:
     """Path of a test's file, which must be in the campaign's folder once links are followed."""
-    where = f"file {entry.file!r} of test {entry.id!r} in {path}"
+    subject = f"file {entry.file!r} of test {entry.id!r} in {path}"
     try:
         file = file_inside(folder, entry.file)
         if file is None:
-            raise CampaignError(f"{where} lies outside the campaign's folder")
+            raise CampaignError(f"{subject} lies outside the campaign's folder")
         if not file.is_file():
             is_windows = re.search(r"[\\\x00-\x1f]", entry.file)
             hint = "; write / in place of \\" if is_windows else ""
-            raise CampaignError(f"{where} does not exist{hint}")
+            raise CampaignError(f"{subject} does not exist{hint}")
     except (OSError, RuntimeError, ValueError) as error:
-        raise CampaignError(f"{where} cannot be found: {error}") from error
+        raise CampaignError(f"{subject} cannot be found: {error}") from error
     return file
 
 
@@ -245,12 +248,12 @@ def _history_unit(path: Path, test: str, column: Column, file: Path) -> str:
         table = read_table(file)
         name = table.name_of(column.key)
         unit = table.units.get(name, unit or header_unit(name))
-    where = f"actuation of test {test!r} in {path}"
+    subject = f"actuation of test {test!r} in {path}"
     if unit is None:
-        given = f"name = {column.name!r}" if column.name else f"column = {column.column}"
-        raise CampaignError(f"{where} needs a unit: {{ {given}, unit = … }}")
+        key = f"name = {column.name!r}" if column.name else f"column = {column.column}"
+        raise CampaignError(f"{subject} needs a unit: {{ {key}, unit = … }}")
     try:
-        actuation_factor(unit, of=f"the {where}")
+        actuation_factor(unit, of=f"the {subject}")
     except UnitError as error:
         raise CampaignError(str(error)) from error
     return unit
@@ -267,31 +270,31 @@ def _is_actuation(unit: str) -> bool:
 
 def _check_tests(path: Path, settings: CampaignFile, model: Model) -> None:
     """Refuse actuations that lack or are of several kinds, equal ids, and nothing to calibrate."""
-    if without := [test.id for test in settings.test if test.actuation is None]:
-        where = f"test {without[0]!r}.actuation is missing in {path}"
+    if unactuated := [test.id for test in settings.test if test.actuation is None]:
+        message = f"test {unactuated[0]!r}.actuation is missing in {path}"
         if not model.source:
-            raise CampaignError(where)
+            raise CampaignError(message)
         if model.laws:
-            raise CampaignError(f"{where}: {' and '.join(model.laws)} of {model.where} follow it")
-        if len(without) < len(settings.test):
-            raise CampaignError(f"{where}: expected one in all tests or in none")
-    seen: dict[str, str] = {}
+            raise CampaignError(f"{message}: {' and '.join(model.laws)} of {model.where} follow it")
+        if len(unactuated) < len(settings.test):
+            raise CampaignError(f"{message}: expected one in all tests or in none")
+    ids: dict[str, str] = {}
     kinds: dict[ActuationUnit, str] = {}
     for test in settings.test:
-        if (other := seen.get(test.id.lower())) is not None:
-            also = "" if other == test.id else f" (as {other!r}; case does not tell folders apart)"
-            raise CampaignError(f"two tests of {path} have the id {test.id!r}{also}")
-        seen[test.id.lower()] = test.id
+        if (twin := ids.get(test.id.lower())) is not None:
+            hint = "" if twin == test.id else f" (as {twin!r}; case does not tell folders apart)"
+            raise CampaignError(f"two tests of {path} have the id {test.id!r}{hint}")
+        ids[test.id.lower()] = test.id
         kinds.setdefault(actuation_factor(test.actuation_unit)[1], test.id)
     if len(kinds) > 1:
-        each = (f"that of test {name!r} is {actuation_kind(u)}" for u, name in kinds.items())
+        texts = (f"that of test {name!r} is {actuation_kind(u)}" for u, name in kinds.items())
         raise CampaignError(
             f"actuations of {path} must be all of one kind, as all pressures or all forces; "
-            + ", ".join(each)
+            + ", ".join(texts)
         )
-    for name, which in settings.dependence.items():
+    for name, conditions in settings.dependence.items():
         for test in settings.test:
-            for condition in which:
+            for condition in conditions:
                 if condition in CONDITIONS and condition not in test.conditions:
                     raise CampaignError(
                         f"dependence.{name} in {path}: it is to follow the {condition}, and test "
@@ -314,17 +317,17 @@ def _check_order(path: Path, tests: Sequence[Test]) -> None:
     for test in tests:
         if not test.after:
             continue
-        where = f"after of test {test.id!r} in {path}"
+        field = f"after of test {test.id!r} in {path}"
         if test.after not in by_id:
             raise CampaignError(
-                f"{where} must be the id of another test, got {test.after!r}; "
+                f"{field} must be the id of another test, got {test.after!r}; "
                 f"{nearest(test.after, by_id)}"
             )
-        other = follower.setdefault(test.after, test.id)
-        if other != test.id:
+        rival = follower.setdefault(test.after, test.id)
+        if rival != test.id:
             raise CampaignError(
-                f"{where} must be a test that no other follows directly, got {test.after!r}, which "
-                f"test {other!r} follows"
+                f"{field} must be a test that no other follows directly, got {test.after!r}, which "
+                f"test {rival!r} follows"
             )
     for test in tests:
         chain = [test.id, test.after]
@@ -335,14 +338,14 @@ def _check_order(path: Path, tests: Sequence[Test]) -> None:
                 f"after of test {test.id!r} in {path} must lead back to a test that follows none, "
                 f"got a circle: {' after '.join(chain)}"
             )
-        before = by_id.get(test.after)
-        if before is None or before.path != test.path:
+        previous = by_id.get(test.after)
+        if previous is None or previous.path != test.path:
             continue
-        if not (test.window and before.window and test.window[0] >= before.window[1]):
+        if not (test.window and previous.window and test.window[0] >= previous.window[1]):
             raise CampaignError(
-                f"after of test {test.id!r} in {path} is a test of the same file, {before.id!r}: "
+                f"after of test {test.id!r} in {path} is a test of the same file, {previous.id!r}: "
                 "the window of the one must begin where that of the other ends, or later, got "
-                f"{_window_text(test.window)} after {_window_text(before.window)}"
+                f"{_window_text(test.window)} after {_window_text(previous.window)}"
             )
 
 
@@ -371,8 +374,8 @@ def goal_settings(
     def tests(key: str, texts: tuple[str, ...]) -> tuple[Parts, ...]:
         return tuple(parse_tests(texts, unit, of=f"goal.{key} in {path}")) if texts else ()
 
-    at = tests("at", table.at)
-    goal = Goal(table.quantity, table.of, table.kind, at, table.probability, table.session)
+    motions = tests("at", table.at)
+    goal = Goal(table.quantity, table.of, table.kind, motions, table.probability, table.session)
     check_goal(goal, of=f"goal.quantity in {path}", laws=laws)
     limits = parse_limits(table.limits, of=f"goal.limits in {path}") if table.limits else Limits()
     return GoalSettings(goal, tests("candidates", table.candidates), limits)
@@ -400,12 +403,12 @@ def _in_roles(path: Path, content: dict[str, Any], axes: Axes) -> dict[str, Any]
         columns = table.get("columns") if isinstance(table, dict) else None
         if axes.of_damper or not isinstance(columns, dict):
             return table
-        known = tuple(map(axes.name, ("time", "displacement", "force")))
+        allowed = tuple(map(axes.name, ("time", "displacement", "force")))
         for key in columns:
             if axes.name(key) != key:
                 raise CampaignError(
                     f"unknown key {key!r} in columns of {path}, by its model; expected "
-                    f"{', '.join(known)}"
+                    f"{', '.join(allowed)}"
                 )
         return {**table, "columns": {axes.role(key): value for key, value in columns.items()}}
 
@@ -422,11 +425,11 @@ def _read_toml(path: Path) -> dict[str, Any]:
         return read_toml(path)
     except OSError as error:
         files = [] if path.exists() else [file.name for file in path.parent.glob("*.toml")]
-        near = difflib.get_close_matches(path.name, files, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        why = error.strerror or str(error)
+        matches = difflib.get_close_matches(path.name, files, n=1)
+        hint = f"; did you mean {matches[0]!r}?" if matches else ""
+        reason = error.strerror or str(error)
         if not path.parent.is_dir():
-            why = f"there is no folder {path.parent}"
-        raise CampaignError(f"cannot read {path}: {why}{hint}") from error
+            reason = f"there is no folder {path.parent}"
+        raise CampaignError(f"cannot read {path}: {reason}{hint}") from error
     except TomlError as error:
         raise CampaignError(f"{path} {error}") from error

@@ -13,7 +13,7 @@ import numpy as np
 from mfd_bayes.errors import CampaignError, UnitError, real_number
 from mfd_bayes.population.design import (
     SAME_LEVEL,
-    Setting,
+    TestConditions,
     default_laws,
     levels_of,
     same_level,
@@ -103,10 +103,10 @@ class Candidate:
     device: str = ""
 
     def __post_init__(self) -> None:
-        for name, (low, high, inside) in _RANGES.items():
-            value, what = getattr(self, name), f"{name} of a test"
+        for name, (low, high, strict) in _RANGES.items():
+            value, label = getattr(self, name), f"{name} of a test"
             if name != "price" or value is not None:
-                number = real_number(what, value, CampaignError, (low, high), inside=inside)
+                number = real_number(label, value, CampaignError, (low, high), exclusive=strict)
                 object.__setattr__(self, name, number)
         if self.waveform not in WAVEFORMS:
             raise CampaignError(
@@ -126,8 +126,8 @@ class Candidate:
     @property
     def speed(self) -> float:
         """Peak speed, in/s."""
-        around = 4.0 if self.waveform == "triangle" else 2.0 * np.pi
-        return float(around * self.frequency * self.amplitude)
+        scale = 4.0 if self.waveform == "triangle" else 2.0 * np.pi
+        return float(scale * self.frequency * self.amplitude)
 
 
 @dataclass(frozen=True)
@@ -154,8 +154,8 @@ class Limits:
     def __post_init__(self) -> None:
         for name, value in dict(vars(self)).items():
             if value is not None:
-                what, above = f"limit of the {name}", (0.0, np.inf)
-                number = real_number(what, value, CampaignError, above, inside=True)
+                label, bounds = f"limit of the {name}", (0.0, np.inf)
+                number = real_number(label, value, CampaignError, bounds, exclusive=True)
                 object.__setattr__(self, name, number)
 
     def forbids(self, candidate: Candidate) -> str:
@@ -187,8 +187,8 @@ class Parts:
 
     def completed(self, typical: Candidate) -> Candidate:
         """The test, with the parts of a typical one where it has none."""
-        given = {name: value for name, value in vars(self).items() if value is not None}
-        return Candidate(**(vars(typical) | {"price": None} | given))
+        values = {name: value for name, value in vars(self).items() if value is not None}
+        return Candidate(**(vars(typical) | {"price": None} | values))
 
 
 def parse_limits(text: str, *, of: str = "--limits") -> Limits:
@@ -196,15 +196,15 @@ def parse_limits(text: str, *, of: str = "--limits") -> Limits:
     limits: dict[str, float] = {}
     form = f"{of}: limits read '10 in/s, 6 in, 20 kip' (velocity, stroke, force), got {text!r}"
     kinds = {"velocity": ("velocity", "velocity"), "length": ("stroke", "displacement")}
-    for part in text.split(","):
-        name, dimension = kinds.get(_measured(part), ("force", "force"))
+    for term in text.split(","):
+        name, dimension = kinds.get(_measured(term), ("force", "force"))
         try:
-            value = parse_quantity(part, dimension)
+            value = parse_quantity(term, dimension)
         except UnitError as error:
             raise CampaignError(f"{form}: {error}") from error
         if name in limits or not value > 0.0:
-            why = "is there twice" if name in limits else "must be above zero"
-            raise CampaignError(f"{form}: the {name} {why}")
+            reason = "is there twice" if name in limits else "must be above zero"
+            raise CampaignError(f"{form}: the {name} {reason}")
         limits[name] = value
     return Limits(**limits)
 
@@ -219,33 +219,33 @@ def parse_tests(
     the stroke), cycles, waveform, and the cost as a time.
     """
     form = f"{of}: a test reads '1000 psi, 0.5 Hz, 1 in, 3 cycles'"
-    if not isinstance(text, str) and not all(isinstance(part, str) for part in text):
+    if not isinstance(text, str) and not all(isinstance(term, str) for term in text):
         raise CampaignError(f"{form}, got {text!r}")
-    whole = text if isinstance(text, str) else ";".join(text)
-    if len(whole) > _LONGEST:
+    joined = text if isinstance(text, str) else ";".join(text)
+    if len(joined) > _LONGEST:
         raise CampaignError(f"{of}: longer than {_LONGEST} characters")
     tests: list[Parts] = []
-    for test in filter(str.strip, whole.split(";")):
+    for test in filter(str.strip, joined.split(";")):
         choices = []
-        for part in map(str.strip, test.split(",")):
-            match = _ALTERNATIVES.fullmatch(part)
-            values, own = (match[1], f" {match[2]}") if match else (part, "")
-            choices.append([f"{value.strip()}{own}" for value in values.split("|")])
+        for term in map(str.strip, test.split(",")):
+            match = _ALTERNATIVES.fullmatch(term)
+            values, suffix = (match[1], f" {match[2]}") if match else (term, "")
+            choices.append([f"{value.strip()}{suffix}" for value in values.split("|")])
         for texts in product(*choices):
-            parts: dict[str, Any] = {}
-            for part in texts:
+            fields: dict[str, Any] = {}
+            for term in texts:
                 try:
-                    name, value = _part(part, unit)
+                    name, value = _part(term, unit)
                 except UnitError as error:
                     raise CampaignError(f"{form}, got {', '.join(texts)!r}: {error}") from error
-                if name in parts:
+                if name in fields:
                     raise CampaignError(f"{form}, got two values of the {name}: {test.strip()!r}")
-                parts[name] = value
-            tests.append(Parts(**parts))
+                fields[name] = value
+            tests.append(Parts(**fields))
             if len(tests) > MOST:
                 raise CampaignError(f"{of}: more than {MOST} tests, the most of one question")
     if not tests:
-        raise CampaignError(f"{form}, got {whole[:80]!r}")
+        raise CampaignError(f"{form}, got {joined[:80]!r}")
     return tests
 
 
@@ -268,8 +268,8 @@ def _part(text: str, unit: ActuationUnit) -> tuple[str, float | str]:
         "rate": ("frequency", "rate"),
     }
     if (kind := _measured(text)) not in kinds:
-        level, own = parse_actuation(text)
-        if own != unit:
+        level, level_unit = parse_actuation(text)
+        if level_unit != unit:
             raise UnitError(f"the campaign's actuation is {actuation_kind(unit)}, {text!r} is not")
         return "actuation", level
     name, dimension = kinds[kind]
@@ -295,7 +295,7 @@ class Shown:
     timed: bool = True
 
 
-def harmonic_of(trace: Trace, shown: Shown = Shown()) -> Candidate:
+def harmonic_of(trace: Trace, display: Shown = Shown()) -> Candidate:
     """The harmonic test with the actuation, half stroke and frequency of a record.
 
     One of which most loops are not at full stroke has that of the same peak speed instead.
@@ -311,7 +311,7 @@ def harmonic_of(trace: Trace, shown: Shown = Shown()) -> Candidate:
     return Candidate(
         setting.actuation,
         _round(frequency, NEAR),
-        _round(amplitude, NEAR, shown.length),
+        _round(amplitude, NEAR, display.length),
         float(np.clip(loops.period.size, 1, 100)),
     )
 
@@ -320,64 +320,72 @@ def typical_of(tests: Sequence[Candidate]) -> list[Candidate]:
     """The campaign's range: `RANGE` actuations, each with the tests' median motion."""
     levels = [test.actuation for test in tests]
     low, high = min(levels), max(levels)
-    many = RANGE if high > low * (1.0 + SAME_LEVEL) else 1
+    count = RANGE if high > low * (1.0 + SAME_LEVEL) else 1
     motions = [(test.frequency, test.amplitude, test.cycles) for test in tests]
     frequency, amplitude, cycles = np.median(motions, axis=0).tolist()
     return [
         Candidate(level, frequency, amplitude, max(1.0, round(cycles)))
-        for level in np.linspace(low, high, many).tolist()
+        for level in np.linspace(low, high, count).tolist()
     ]
 
 
-def grid_of(tests: Sequence[Candidate], shown: Shown = Shown()) -> list[Candidate]:
+def grid_of(tests: Sequence[Candidate], display: Shown = Shown()) -> list[Candidate]:
     """Every test once more, and candidates from the campaign's range and a little beyond it."""
-    cycles, scale = typical_of(tests)[0].cycles, shown.actuation
+    cycles, scale = typical_of(tests)[0].cycles, display.actuation
     # tested levels, one in the middle of each gap between them, and one beyond
-    levels = levels_of([Setting(test.actuation) for test in tests])
-    own = [tests[group[0]].actuation for group in levels]
-    if len(own) > (most := (LEVELS - 1) // 2):
-        own = [own[k] for k in np.unique(np.linspace(0, len(own) - 1, most).round().astype(int))]
-    others = [0.5 * (a + b) for a, b in pairwise(own)] + [BEYOND * own[-1]]
-    others += [own[0] / BEYOND] if len(own) == 1 else []
-    if not shown.actuated:
-        others = []
-    actuations = sorted({*own, *(_round(level, NEW, scale) for level in others)} - {0.0})
+    levels = levels_of([TestConditions(test.actuation) for test in tests])
+    tested = [tests[group[0]].actuation for group in levels]
+    if len(tested) > (limit := (LEVELS - 1) // 2):
+        tested = [
+            tested[k] for k in np.unique(np.linspace(0, len(tested) - 1, limit).round().astype(int))
+        ]
+    new_levels = [0.5 * (a + b) for a, b in pairwise(tested)] + [BEYOND * tested[-1]]
+    new_levels += [tested[0] / BEYOND] if len(tested) == 1 else []
+    if not display.actuated:
+        new_levels = []
+    actuations = sorted({*tested, *(_round(level, NEW, scale) for level in new_levels)} - {0.0})
     # smallest and largest tested value, and one beyond
     motions = []
-    for name, by in (("frequency", 1.0), ("amplitude", shown.length)):
+    for name, factor in (("frequency", 1.0), ("amplitude", display.length)):
         values = [getattr(test, name) for test in tests]
         low, high = min(values), max(values)
-        near = [low] if low > 0.9 * high else [low, high]
-        beyond = [] if name == "frequency" and not shown.timed else [_round(BEYOND * high, NEW, by)]
-        motions.append([*near, *beyond])
+        ends = [low] if low > 0.9 * high else [low, high]
+        extra = (
+            []
+            if name == "frequency" and not display.timed
+            else [_round(BEYOND * high, NEW, factor)]
+        )
+        motions.append([*ends, *extra])
     again: list[Candidate] = []
     for test in tests:
         if test.actuation > 0.0 and not repeats(test, again, NEW):
             again.append(replace(test, cycles=cycles))
-    new = (Candidate(p, f, a, cycles) for p, f, a in product(actuations, *motions))
-    return [*again, *(c for c in new if not repeats(c, again))]
+    candidates = (Candidate(p, f, a, cycles) for p, f, a in product(actuations, *motions))
+    return [*again, *(c for c in candidates if not repeats(c, again))]
 
 
-def repeats(candidate: Candidate, tests: Iterable[Candidate], within: float = ALIKE) -> bool:
+def repeats(candidate: Candidate, tests: Iterable[Candidate], tolerance: float = ALIKE) -> bool:
     """Whether a candidate is like a test that was made."""
     return any(
         same_level(candidate.actuation, test.actuation)
         and candidate.device != NEW_DEVICE
         and candidate.waveform == test.waveform
-        and abs(candidate.frequency / test.frequency - 1.0) <= within
-        and abs(candidate.amplitude / test.amplitude - 1.0) <= within
+        and abs(candidate.frequency / test.frequency - 1.0) <= tolerance
+        and abs(candidate.amplitude / test.amplitude - 1.0) <= tolerance
         for test in tests
     )
 
 
-def _round(value: float, within: float, scale: float = 1.0) -> float:
+def _round(value: float, tolerance: float, scale: float = 1.0) -> float:
     """A value to two digits in the unit of a scale, as it is set on a frame; else to three.
 
     Three where two are off by more than a share of the value.
     """
-    own = scale * value
-    short = float(f"{own:.2g}")
-    return (short if abs(short - own) <= within * abs(own) else float(f"{own:.3g}")) / scale
+    scaled = scale * value
+    short = float(f"{scaled:.2g}")
+    return (
+        short if abs(short - scaled) <= tolerance * abs(scaled) else float(f"{scaled:.3g}")
+    ) / scale
 
 
 # --- goals ----------------------------------------------------------------------------------------
@@ -420,28 +428,30 @@ class Goal:
         for name in ("quantity", "of", "kind", "session"):
             if not isinstance(value := getattr(self, name), str):
                 raise CampaignError(f"{name} of a goal must be text, got {value!r}")
-        bounds, at = (0.0, 1.0), self.at
-        real_number("probability of a goal", self.probability, CampaignError, bounds, inside=True)
-        given = (at,) if isinstance(at, Parts | Candidate) else at
-        tests = isinstance(given, list | tuple)
-        if not tests or not all(isinstance(one, Parts | Candidate) for one in given):
+        bounds, raw = (0.0, 1.0), self.at
+        real_number(
+            "probability of a goal", self.probability, CampaignError, bounds, exclusive=True
+        )
+        items = (raw,) if isinstance(raw, Parts | Candidate) else raw
+        tests = isinstance(items, list | tuple)
+        if not tests or not all(isinstance(item, Parts | Candidate) for item in items):
             raise CampaignError(
-                f"at of a goal must be tests, each a Candidate, got {at!r}: in words they are a "
+                f"at of a goal must be tests, each a Candidate, got {raw!r}: in words they are a "
                 "part of the goal's text, such as 'energy at 1000 psi, 0.5 Hz, 1 in'"
             )
-        object.__setattr__(self, "at", tuple(Parts(**vars(one)) for one in given))
+        object.__setattr__(self, "at", tuple(Parts(**vars(item)) for item in items))
 
     def places(self, typical: Sequence[Candidate]) -> list[Candidate]:
         """Motions and actuations that it is about; the typical ones where it names none.
 
         A motion without an actuation is one at each typical actuation.
         """
-        found = [
-            parts.completed(one)
-            for parts in self.at
-            for one in (typical if parts.actuation is None else typical[:1])
+        candidates = [
+            motion.completed(candidate)
+            for motion in self.at
+            for candidate in (typical if motion.actuation is None else typical[:1])
         ]
-        return found or list(typical)
+        return candidates or list(typical)
 
     @property
     def words(self) -> str:
@@ -468,21 +478,21 @@ def parse_goal(
     )
     if match is None:
         raise CampaignError(f"{form}, got {text[:80]!r}")
-    name, about = match["name"].removesuffix(" force").lower(), match["of"] or ""
-    at = tuple(parse_tests(match["at"], unit, of=of)) if match["at"] else ()
+    name, subject = match["name"].removesuffix(" force").lower(), match["of"] or ""
+    motions = tuple(parse_tests(match["at"], unit, of=of)) if match["at"] else ()
     band, law = name == "band", name in OF_LAWS
-    goal = Goal(name, about if law else "", about if band and about else "mean", at)
+    goal = Goal(name, subject if law else "", subject if band and subject else "mean", motions)
     check_goal(goal, of=of, laws=laws)
-    if about and not law and not band:
-        raise CampaignError(f"{form}: 'of {about}' is for slope, exponent and band alone")
+    if subject and not law and not band:
+        raise CampaignError(f"{form}: 'of {subject}' is for slope, exponent and band alone")
     return goal
 
 
 def check_goal(goal: Goal, *, of: str = "--goal", laws: Iterable[str] = ()) -> None:
     """Refuse a goal that cannot be; `laws` are what follows the actuation in a user's own model."""
-    known = (*AT_MOTIONS, GAP, *OF_LAWS)
-    if goal.quantity not in known:
-        hint = nearest(goal.quantity, known)
+    quantities = (*AT_MOTIONS, GAP, *OF_LAWS)
+    if goal.quantity not in quantities:
+        hint = nearest(goal.quantity, quantities)
         raise CampaignError(f"{of}: unknown quantity {goal.quantity!r}; {hint}")
     if goal.kind not in KINDS:
         raise CampaignError(

@@ -109,22 +109,22 @@ def draft_campaign(folder: Path, model: str = "") -> Draft:
     """Campaign of the test files in a folder, perhaps of a user's own model, "file.py:Class"."""
     try:
         paths = [p for p in folder.iterdir() if _may_be_test(p)]
-        below = _tests_below(folder)
+        subfolders = _tests_below(folder)
     except OSError as error:
         raise CampaignError(f"cannot read the folder {folder}: {error.strerror}") from error
-    chosen = find_model(model, folder) if model else None
-    axes = replace(chosen.axes, actuated=bool(chosen.actuated)) if chosen else DAMPER
+    force_model = find_model(model, folder) if model else None
+    axes = replace(force_model.axes, actuated=bool(force_model.actuated)) if force_model else DAMPER
     files: list[TestFile] = []
     tests: list[TestDraft] = []
     left_out: list[tuple[str, str]] = [
         (name, f"folders below are not read; this one has {count} that may be tests: init it alone")
-        for name, count in below.items()
+        for name, count in subfolders.items()
     ]
 
     def leave_out(path: Path, error: MfdError) -> None:
         texts = path.name, str(error).replace(str(path), path.name)
-        name, why = (text.encode("utf-8", "backslashreplace").decode() for text in texts)
-        left_out.append((name, why))
+        name, reason = (text.encode("utf-8", "backslashreplace").decode() for text in texts)
+        left_out.append((name, reason))
 
     joined = writes_decimals([path.stem for path in paths])
     for path in sorted(paths, key=_natural):
@@ -140,14 +140,16 @@ def draft_campaign(folder: Path, model: str = "") -> Draft:
         except MfdError as error:
             leave_out(file.path, error)
     if not tests:
-        reasons = "; ".join(f"{name}: {why}" for name, why in left_out[:5])
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out[:5])
         roles = ("time",) * axes.timed + (axes.motion.name,)
         raise CampaignError(
             f"{folder} holds no test, a file with {', '.join(roles)} and {axes.response.name}"
             + (f": {reasons}" if reasons else f" and one of the suffixes {', '.join(SUFFIXES)}")
         )
-    own = chosen if chosen and has_own_parameters(chosen) else None
-    return Draft(folder, tuple(tests), tuple(left_out), unit, axes, model or Draft.model, own)
+    user_model = force_model if force_model and has_own_parameters(force_model) else None
+    return Draft(
+        folder, tuple(tests), tuple(left_out), unit, axes, model or Draft.model, user_model
+    )
 
 
 def _may_be_test(path: Path) -> bool:
@@ -162,11 +164,11 @@ _MOST_BELOW = 10_000  # files and folders that are looked at
 def _tests_below(folder: Path) -> dict[str, int]:
     """Folders below, but for hidden ones and runs, to the number of files that may be tests."""
     counts: dict[str, int] = {}
-    seen = 0
-    for place, folders, names in os.walk(folder):
-        path = Path(place)
-        seen += len(folders) + len(names)
-        if "manifest.json" in names or seen > _MOST_BELOW:
+    entries = 0
+    for root, folders, names in os.walk(folder):
+        path = Path(root)
+        entries += len(folders) + len(names)
+        if "manifest.json" in names or entries > _MOST_BELOW:
             folders.clear()
             continue
         folders[:] = sorted(name for name in folders if not name.startswith((".", "__")))
@@ -179,8 +181,8 @@ def _tests_below(folder: Path) -> dict[str, int]:
 
 def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     """Key of sorting, with p500 before p1000."""
-    parts = re.split(r"([0-9]+)", path.name.lower())
-    return [(int(p), "") if p.isdecimal() else (0, p) for p in parts], path.name
+    tokens = re.split(r"([0-9]+)", path.name.lower())
+    return [(int(p), "") if p.isdecimal() else (0, p) for p in tokens], path.name
 
 
 def _read_file(path: Path, folder: Path, axes: Axes, *, joined: bool) -> TestFile:
@@ -195,8 +197,8 @@ def _read_file(path: Path, folder: Path, axes: Axes, *, joined: bool) -> TestFil
     for guess in columns.values():
         _check_utf8(guess.name, f"the name of its column {guess.name!a}")
     column = columns.pop("actuation", None)
-    needed = [role for role in ESSENTIAL if axes.timed or role != "time"]
-    if missing := [axes.name(role) for role in needed if role not in columns]:
+    required = [role for role in ESSENTIAL if axes.timed or role != "time"]
+    if missing := [axes.name(role) for role in required if role not in columns]:
         again = next(iter(table.blocks.values()), "")
         notes = [f"the heading is repeated from {again}: keep one block in a file"] if again else []
         raise RecordError(
@@ -212,13 +214,13 @@ def _read_file(path: Path, folder: Path, axes: Axes, *, joined: bool) -> TestFil
     )
 
 
-def _check_utf8(name: str, what: str) -> None:
+def _check_utf8(name: str, label: str) -> None:
     if any("\ud800" <= letter <= "\udfff" for letter in name):
-        raise RecordError(f"{what} is not UTF-8, as a campaign file must be: rename it")
+        raise RecordError(f"{label} is not UTF-8, as a campaign file must be: rename it")
 
 
 def _draft_test(
-    file: TestFile, unit: ActuationUnit | None, axes: Axes, taken: Sequence[str]
+    file: TestFile, unit: ActuationUnit | None, axes: Axes, ids: Sequence[str]
 ) -> TestDraft:
     """Draft of a file; raises where the file cannot be read with the guessed columns."""
     actuation, source, doubts = (None, "", ()) if not axes.actuated else actuation_of(file, unit)
@@ -235,15 +237,15 @@ def _draft_test(
             force = roles["force"]
             roles["force"] = replace(force, sign=-1, doubts=(*force.doubts, doubt))
             record = _read_record(file.path, roles, actuation, axes)
-        known = {role for role, guess in roles.items() if guess.unit is not None}
-        doubts += tuple(str(fault.message) for fault in contradictions(record, roles=known))
-        if "displacement" not in known and (length := length_in_name(record)):
+        unit_roles = {role for role, guess in roles.items() if guess.unit is not None}
+        doubts += tuple(str(fault.message) for fault in contradictions(record, roles=unit_roles))
+        if "displacement" not in unit_roles and (length := length_in_name(record)):
             lacking = f'write unit = "{length[0]}": {length[1]}'
             roles["displacement"] = replace(roles["displacement"], lacking=lacking)
-        if known.issuperset(ESSENTIAL):
+        if unit_roles.issuperset(ESSENTIAL):
             scales = scales_of(record.trace())
     return TestDraft(
-        *(new_id(file.path.stem, taken), file.path.name, roles, actuation, source, doubts, scales),
+        *(new_id(file.path.stem, ids), file.path.name, roles, actuation, source, doubts, scales),
         ranges,
     )
 
@@ -260,15 +262,15 @@ def _read_record(
     return read_record(path, sources, units, level, axes=axes)
 
 
-def new_id(stem: str, taken: Sequence[str]) -> str:
-    """Id from a file's name; no id in `taken` differs from it in the case of letters only."""
+def new_id(stem: str, ids: Sequence[str]) -> str:
+    """Id from a file's name; no id in `ids` differs from it in the case of letters only."""
     ascii_ = unicodedata.normalize("NFKD", stem).encode("ascii", "ignore").decode()
     name = re.sub(r"[^A-Za-z0-9+_.-]+", "_", ascii_).lstrip(".").strip("_")[:90] or "test"
-    used = {other.lower() for other in taken} | RESERVED
-    number, new = 2, name
-    while new.lower() in used:
-        new, number = f"{name}_{number}", number + 1
-    return new
+    reserved = {existing.lower() for existing in ids} | RESERVED
+    number, candidate = 2, name
+    while candidate.lower() in reserved:
+        candidate, number = f"{name}_{number}", number + 1
+    return candidate
 
 
 _UNITS = {
@@ -300,12 +302,12 @@ _OTHER = ("mfd", "for drum brakes; its priors do not depend on the unit of actua
 def campaign_text(draft: Draft) -> str:
     """Campaign file of a draft; valid TOML whatever the names of files and columns are."""
     shared = _shared_columns(draft.tests)
-    priors, why = _priors_of(draft)
+    priors, remark = _priors_of(draft)
     title = draft.folder.resolve().name.encode("utf-8", "replace").decode()
     lines = [
         "[campaign]",
         f"title = {quoted(title)}",
-        f"priors = {quoted(priors)}  {commented(why)}",
+        f"priors = {quoted(priors)}  {commented(remark)}",
         f"model = {quoted(draft.model)}" + ("" if draft.own else f"  {commented(_MODELS)}"),
         "",
         "[columns]",
@@ -325,8 +327,8 @@ def campaign_text(draft: Draft) -> str:
             line = _column_line(draft.axes.name(role), guess)
             lines.append(line if line.startswith("#") else f"columns.{line}")
         if test.earthquake:
-            why = "an earthquake by its name: to predict and score, not to fit"
-            lines.append(f'# role = "validate"  {commented(why)}')
+            remark = "an earthquake by its name: to predict and score, not to fit"
+            lines.append(f'# role = "validate"  {commented(remark)}')
     if draft.left_out:
         lines += ["", "# Left out:"]
         lines += [commented(f"{file}: {reason}") for file, reason in draft.left_out]
@@ -339,13 +341,13 @@ def _priors_of(draft: Draft) -> tuple[str, str]:
     if draft.own:
         wide = "wide, of the sizes of the records: replace each by what you know"
         return WRITTEN, wide if draft.ranges else later
-    name, why = _PRIORS.get(draft.unit, _OTHER)
+    name, reason = _PRIORS.get(draft.unit, _OTHER)
     if draft.scales:
         if knows(name, draft.scales):
-            return name, why
+            return name, reason
         return WRITTEN, "scales read off the records: no shipped file knows such a device"
     if all(guess.unit is not None for test in draft.tests for guess in test.columns.values()):
-        return name, why
+        return name, reason
     return WRITTEN, later
 
 
@@ -419,42 +421,44 @@ def _shared_columns(tests: Sequence[TestDraft]) -> dict[str, Guess]:
         guesses = [test.columns[role] for test in tests if role in test.columns]
         if len(guesses) < len(tests):
             continue
-        usual = Counter(map(_as_written, guesses)).most_common(1)[0][0]
-        alike = [guess for guess in guesses if _as_written(guess) == usual]
-        every = dict.fromkeys(doubt for guess in alike for doubt in guess.doubts)
+        common = Counter(map(_as_written, guesses)).most_common(1)[0][0]
+        alike = [guess for guess in guesses if _as_written(guess) == common]
+        all_doubts = dict.fromkeys(doubt for guess in alike for doubt in guess.doubts)
         lacking = "; ".join(dict.fromkeys(guess.lacking for guess in alike if guess.lacking))
-        shared[role] = replace(alike[0], doubts=tuple(every), lacking=lacking)
+        shared[role] = replace(alike[0], doubts=tuple(all_doubts), lacking=lacking)
     return shared
 
 
 def _own_columns(test: TestDraft, shared: dict[str, Guess]) -> dict[str, Guess]:
     """Columns of a test that are not the shared ones."""
-    usual = {role: _as_written(guess) for role, guess in shared.items()}
-    return {role: g for role, g in test.columns.items() if usual.get(role) != _as_written(g)}
+    common = {role: _as_written(guess) for role, guess in shared.items()}
+    return {role: g for role, g in test.columns.items() if common.get(role) != _as_written(g)}
 
 
 def _table_of(guess: Guess) -> str:
     """TOML inline table of a column, given by its number where it has one, or of a rate."""
     if guess.rate:
         return f"{{ rate = {quoted(guess.rate)} }}"
-    parts = [f"name = {quoted(guess.name)}" if guess.number is None else f"column = {guess.number}"]
-    parts += [] if guess.unit is None else [f"unit = {quoted(guess.unit)}"]
-    parts += [] if guess.sign == 1 else [f"sign = {guess.sign}"]
-    return f"{{ {', '.join(parts)} }}"
+    entries = [
+        f"name = {quoted(guess.name)}" if guess.number is None else f"column = {guess.number}"
+    ]
+    entries += [] if guess.unit is None else [f"unit = {quoted(guess.unit)}"]
+    entries += [] if guess.sign == 1 else [f"sign = {guess.sign}"]
+    return f"{{ {', '.join(entries)} }}"
 
 
 def _column_line(name: str, guess: Guess) -> str:
     remarks = [f"FIXME: {_no_unit(name, guess)}"] if guess.unit is None else []
     remarks += [f"unsure: {doubt}" for doubt in guess.doubts]
-    behind = f"  {commented('; '.join(remarks))}" if remarks else ""
+    comment = f"  {commented('; '.join(remarks))}" if remarks else ""
     if not guess.name and not guess.rate:
-        return f'# {name} = {{ rate = "100 Hz" }}{behind}'
-    return f"{name} = {_table_of(guess)}{behind}"
+        return f'# {name} = {{ rate = "100 Hz" }}{comment}'
+    return f"{name} = {_table_of(guess)}{comment}"
 
 
 def _no_unit(role: str, guess: Guess) -> str:
-    what = guess.lacking or f"add unit = {_UNITS.get(role, '…')}"
-    return f"the unit of {role} is unknown; {what}"
+    advice = guess.lacking or f"add unit = {_UNITS.get(role, '…')}"
+    return f"the unit of {role} is unknown; {advice}"
 
 
 def _no_actuation(test: TestDraft, draft: Draft) -> str:
@@ -494,17 +498,17 @@ _MULTIPLE = re.compile(rf"(\S+) ({'|'.join(_INTERNAL_UNITS)})")
 
 def knows(priors: str, scales: Mapping[str, Scales]) -> bool:
     """Whether a shipped prior file expects slip forces and lengths such as these."""
-    file, usual = load_priors(priors), middle(scales.values())
+    file, typical = load_priors(priors), middle(scales.values())
     slip = file.parameters["Fc_fwd"].figures
-    away = abs(np.log(usual.force / slip["median"])) / slip["sigma"]
-    gap = file.gap or usual.length
-    return bool(away < OTHER and usual.length < LONG * gap and usual.stroke > SHORT * gap)
+    distance = abs(np.log(typical.force / slip["median"])) / slip["sigma"]
+    gap = file.gap or typical.length
+    return bool(distance < OTHER and typical.length < LONG * gap and typical.stroke > SHORT * gap)
 
 
 def priors_text(scales: Mapping[str, Scales], force: str, length: str) -> str:
     """Prior file for records of known scales, by the names of their tests, in these units."""
-    usual = middle(scales.values())
-    sizes = {"force": usual.force, "length": usual.length, "speed": usual.speed}
+    scale = middle(scales.values())
+    sizes = {"force": scale.force, "length": scale.length, "speed": scale.speed}
     units = {
         "force": force,
         "length": length,
@@ -522,23 +526,23 @@ def priors_text(scales: Mapping[str, Scales], force: str, length: str) -> str:
         median = quantity(value, kind)
         return {"family": "lognormal", "median": median, "sigma": sigma, "reason": reason}
 
-    forces = [own.force for own in scales.values()]
+    forces = [entry.force for entry in scales.values()]
     ends = dict.fromkeys(quantity(f, "force") for f in (min(forces), max(forces)))
     sigma = max(_WIDE, 0.5 * float(np.log(max(forces) / min(forces))) + 0.7)
-    where = f"the slip force of {listed(list(scales), 1, str)}, {' to '.join(ends)}"
-    slip = lognormal(usual.force, "force", sigma, where)
+    source = f"the slip force of {listed(list(scales), 1, str)}, {' to '.join(ends)}"
+    slip = lognormal(scale.force, "force", sigma, source)
     build_up = "the slope at which the force comes back"
-    slope = lognormal(usual.build_up, "force/length", 1.5, build_up)
+    slope = lognormal(scale.build_up, "force/length", 1.5, build_up)
     noise = (
-        f"samples differ by {quantity(usual.noise, 'force')} from their neighbours; model error is "
+        f"samples differ by {quantity(scale.noise, 'force')} from their neighbours; model error is "
         "some percent more"
     )
-    noise_sd = max(3.0 * usual.noise, 0.03 * usual.force)
-    offset = max(0.3 * usual.force, 2.0 * max(abs(own.offset) for own in scales.values()))
+    noise_sd = max(3.0 * scale.noise, 0.03 * scale.force)
+    offset = max(0.3 * scale.force, 2.0 * max(abs(entry.offset) for entry in scales.values()))
     read_off = {
         **dict.fromkeys(("Fc_fwd", "Fc_bwd", "Fy_fwd", "Fy_bwd"), slip),
         **dict.fromkeys(("k3", "k", "k_fwd", "k_bwd"), slope),
-        "sigma0": lognormal(usual.unloading, "force/length", 1.5, "the slope after reversals"),
+        "sigma0": lognormal(scale.unloading, "force/length", 1.5, "the slope after reversals"),
         "noise_sd": lognormal(noise_sd, "force", 1.2, noise),
         "offset": {
             "family": "normal",
@@ -549,16 +553,16 @@ def priors_text(scales: Mapping[str, Scales], force: str, length: str) -> str:
     }
     content, text = read_toml(find_priors("any")), f"{_PRIORS_HEAD}title = "
     text += quoted(f"{SCALED}: {listed(list(scales), 1, str)}") + "\n"
-    for section, own in (("parameters", read_off), ("scatter", {})):
-        for name, table in (content[section] | own).items():
+    for section, entry in (("parameters", read_off), ("scatter", {})):
+        for name, table in (content[section] | entry).items():
             text += f"\n[{section}.{name}]\n"
             for key, value in table.items():
                 match = _MULTIPLE.fullmatch(value) if isinstance(value, str) else None
                 if match is None:
                     text += f"{key} = {_toml(value)}\n"
                 else:  # a multiple of scales
-                    over, _, under = match[2].partition("/")
-                    size = float(match[1]) * sizes[over] / sizes.get(under, 1.0)
+                    numerator, _, denominator = match[2].partition("/")
+                    size = float(match[1]) * sizes[numerator] / sizes.get(denominator, 1.0)
                     text += f"{key} = {quoted(quantity(size, match[2]))}  {commented(value)}\n"
     return text
 
@@ -594,15 +598,15 @@ def priors_of_model(model: Model, ranges: Sequence[tuple[float, float]]) -> str:
     x, f = model.axes.motion.unit, model.axes.response.unit
     motion, response = np.maximum(0.5 * np.median(ranges, axis=0), 1e-12).tolist()
     ratio = response / motion
-    known = {f: response, x: motion, f"({f})/({x})": ratio, f"({x})/s": motion}
-    known[f"({f})*s/({x})"] = ratio
+    sizes = {f: response, x: motion, f"({f})/({x})": ratio, f"({x})/s": motion}
+    sizes[f"({f})*s/({x})"] = ratio
     lines = [_HEAD_OWN, f"title = {quoted(f'{model.name}, drafted')}\n", "[parameters]"]
     scatter: dict[str, str] = {}
     for quantity in model.quantities:
         name, unit = quantity.name, quantity.unit
-        alike = next((u for u in known if unit != "1" and measures(u, unit)), "")
-        size = known[alike] * convert(alike, unit) if alike else 0.3
-        if quantity.least == -np.inf:
+        alike = next((u for u in sizes if unit != "1" and measures(u, unit)), "")
+        size = sizes[alike] * convert(alike, unit) if alike else 0.3
+        if quantity.lower == -np.inf:
             prior = (
                 f'family = "normal", mean = {_with_unit(0.0, unit)}, sd = {_with_unit(size, unit)}'
             )
@@ -610,22 +614,22 @@ def priors_of_model(model: Model, ranges: Sequence[tuple[float, float]]) -> str:
         else:
             scatter[name] = "0.2"
             prior = f'family = "lognormal", median = {_with_unit(size, unit)}, sigma = 1.5'
-            if quantity.most == 1.0:
+            if quantity.upper == 1.0:
                 prior = 'family = "beta", a = 2, b = 2'
         reason = quoted(f"FIXME: a guess; {quantity.meaning}")
         lines.append(f"{name} = {{ {prior}, reason = {reason} }}")
     zero, offset, noise = (_with_unit(share * response, f) for share in (0.0, 0.02, 0.1))
     memory = '"0.1 s"' if model.axes.timed else "3"
-    more = {
+    noise_priors = {
         "offset": f'family = "normal", mean = {zero}, sd = {offset}, reason = "zero of the sensor"',
         "noise_sd": f'family = "half_normal", sd = {noise}, reason = "what the model misses"',
         "noise_time": f'family = "lognormal", median = {memory}, sigma = 1.0, reason = "FIXME"',
     }
-    lines += [*(f"{name} = {{ {prior} }}" for name, prior in more.items()), "\n[scatter]"]
+    lines += [*(f"{name} = {{ {prior} }}" for name, prior in noise_priors.items()), "\n[scatter]"]
     scatter |= {"offset": offset, "noise_sd": "0.3", "noise_time": "0.3"}
-    why = commented("from test to test: replace it by what you know")
+    remark = commented("from test to test: replace it by what you know")
     for name, sd in scatter.items():
-        lines.append(f"{name} = {{ parameters = {_toml([name])}, sd = {sd} }}  {why}")
+        lines.append(f"{name} = {{ parameters = {_toml([name])}, sd = {sd} }}  {remark}")
     return "\n".join(lines) + "\n"
 
 

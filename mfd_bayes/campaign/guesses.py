@@ -114,17 +114,19 @@ def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
     A rate that the file states stands in place of a time that it has not; where it states none,
     the time is left open, if displacement and force have their names.
     """
-    own = {} if axes.of_damper else {"displacement": axes.motion, "force": axes.response}
+    user_axes = {} if axes.of_damper else {"displacement": axes.motion, "force": axes.response}
     roles = ("actuation",) * axes.actuated + ("time",) * axes.timed + ("displacement", "force")
     guesses: dict[str, Guess] = {}
     for role in roles:
         taken = [guess.name for guess in guesses.values()]
-        named = _of_axis(table, own[role]) if role in own else _by_name(table, role, taken)
+        named = (
+            _of_axis(table, user_axes[role]) if role in user_axes else _by_name(table, role, taken)
+        )
         if named is not None:
             guesses[role] = named
-    missing = [role for role in roles if role not in {*guesses, *own, "actuation"}]
+    missing = [role for role in roles if role not in {*guesses, *user_axes, "actuation"}]
     torque, angle = (rotational(table, taken) for taken in ("N*m", "rad"))
-    if not own and torque and angle and {"displacement", "force"} & set(missing):
+    if not user_axes and torque and angle and {"displacement", "force"} & set(missing):
         raise RecordError(
             f"no column for {' and '.join(r for r in missing if r != 'time')}: {torque!r} is a "
             f"torque and {angle!r} an angle; a device that turns needs a model of your own, as "
@@ -132,15 +134,17 @@ def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
         )
     if missing:
         guesses |= _by_numbers(table, missing, [guess.name for guess in guesses.values()])
-    if not own and {"displacement", "force"} <= guesses.keys():
+    if not user_axes and {"displacement", "force"} <= guesses.keys():
         guesses |= _by_motion(table, guesses["displacement"], guesses["force"])
     for role, guess in guesses.items():
-        found = guess if guess.unit or role in own else _with_unit(table, role, guess, guesses)
+        column = (
+            guess if guess.unit or role in user_axes else _with_unit(table, role, guess, guesses)
+        )
         if role == "time" and (problem := _equal_stamps(table, guess.name)):
-            found = Guess("", None, lacking=problem)
-        if own_name(found.name) != found.name:  # no name of its own
-            found = replace(found, number=table.number_of(found.name))
-        guesses[role] = found
+            column = Guess("", None, lacking=problem)
+        if own_name(column.name) != column.name:  # no name of its own
+            column = replace(column, number=table.number_of(column.name))
+        guesses[role] = column
     rate, doubt = rate_in_header(table.head)
     time = guesses.get("time")
     lacks = bool(rate and time.lacking) if time else {"displacement", "force"} <= guesses.keys()
@@ -155,15 +159,15 @@ def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
     return guesses
 
 
-def rotational(table: Table, like: str) -> str:
+def rotational(table: Table, kind: str) -> str:
     """The first column whose unit is one of a torque, "N*m", or has an angle, "rad"; or ""."""
     for name in table.names:
-        own = normalize("NFKC", own_name(name))
-        texts = [match[1] for pattern in _AT_THE_END if (match := pattern.search(own))]
+        title = normalize("NFKC", own_name(name))
+        texts = [match[1] for pattern in _AT_THE_END if (match := pattern.search(title))]
         for unit in filter(None, (table.units.get(name), *texts)):
             unit = {"nm": "N*m", "rpm": "rad/s", "rev/min": "rad/s"}.get(unit.lower(), unit)
             unit = re.sub(r"(?<=N)[. ·](?=m)", "*", unit)
-            if measure(unit) and (has_angle(unit) if like == "rad" else measures(unit, like)):
+            if measure(unit) and (has_angle(unit) if kind == "rad" else measures(unit, kind)):
                 return name
     return ""
 
@@ -185,13 +189,13 @@ def _of_axis(table: Table, axis: Axis) -> Guess | None:
 
 def unit_of(table: Table, name: str, role: str) -> str | None:
     """Unit of a column for a role, from its name or the file's row of units; None if unknown."""
-    own = normalize("NFKC", own_name(name))
-    texts = [match[1] for pattern in _AT_THE_END if (match := pattern.search(own))]
-    inside = stated_unit(name) or ""  # "Force (N)[1]"
+    title = normalize("NFKC", own_name(name))
+    texts = [match[1] for pattern in _AT_THE_END if (match := pattern.search(title))]
+    bracketed = stated_unit(name) or ""  # "Force (N)[1]"
     is_length = any(
-        word in ROLE_WORDS["displacement"] for word in re.findall(r"[a-z]+", own.lower())
+        word in ROLE_WORDS["displacement"] for word in re.findall(r"[a-z]+", title.lower())
     )
-    for text in (*texts, table.units.get(name, ""), own.strip(), inside):
+    for text in (*texts, table.units.get(name, ""), title.strip(), bracketed):
         for unit in (text.replace("_per_", "/"), text.lower().replace("_per_", "/")):
             if unit != text and measure(text):  # Nm is no nanometre
                 continue
@@ -226,18 +230,20 @@ def numbers_of(table: Table, name: str, *, is_time: bool = False) -> Array | Non
     return numbers
 
 
-def _by_name(table: Table, role: str, taken: Sequence[str]) -> Guess | None:
+def _by_name(table: Table, role: str, excluded: Sequence[str]) -> Guess | None:
     """Column whose name and unit have the highest score for a role."""
-    names = [name for name in table.names if name not in taken and table.names.count(name) == 1]
+    names = [name for name in table.names if name not in excluded and table.names.count(name) == 1]
     scores = {name: score for name in names if (score := _score(table, name, role)) > 0}
     if not scores:
         return None
     best = max(scores, key=lambda name: scores[name])
     fewest = max(scores[best] - 1, min(scores[best], 2))
     rivals = [name for name, score in scores.items() if name != best and score >= fewest]
-    alone = (f"column for {role} chosen by its unit alone",) if scores[best] == _UNIT_ALONE else ()
-    others = (f"column for {role} could also be {listed(rivals)}",) if rivals else ()
-    return Guess(best, unit_of(table, best, role), alone + others)
+    unit_doubts = (
+        (f"column for {role} chosen by its unit alone",) if scores[best] == _UNIT_ALONE else ()
+    )
+    rival_doubts = (f"column for {role} could also be {listed(rivals)}",) if rivals else ()
+    return Guess(best, unit_of(table, best, role), unit_doubts + rival_doubts)
 
 
 def _score(table: Table, name: str, role: str) -> float:
@@ -245,22 +251,22 @@ def _score(table: Table, name: str, role: str) -> float:
     text = normalize("NFKC", own_name(name))
     words = re.findall(r"[a-z]+", CAMEL.sub(" ", _IN_BRACKETS.sub("", text)).lower())
     scores = {
-        r: max((known.get(w, 0) for w in words), default=0) for r, known in ROLE_WORDS.items()
+        r: max((points.get(w, 0) for w in words), default=0) for r, points in ROLE_WORDS.items()
     }
-    own, other = scores.pop(role), max(scores.values())
-    if own and any(map(_NOT_MEASURED.fullmatch, words)):
-        own = 1
+    score, rival = scores.pop(role), max(scores.values())
+    if score and any(map(_NOT_MEASURED.fullmatch, words)):
+        score = 1
     unit = unit_of(table, name, role)
-    if not own:
+    if not score:
         # of actuations, a unit alone can tell only a pressure: load cells are many
         tells = unit is not None and (role != "actuation" or _fits(unit, "pressure"))
-        return _UNIT_ALONE if tells and not other else 0.0
+        return _UNIT_ALONE if tells and not rival else 0.0
     if unit is None:
         match = _IN_BRACKETS.search(text)
         stated = match[1] if match else table.units.get(name, "")
         if stated and any(_fits(stated, kind) for kind in (*ESSENTIAL, "velocity", "pressure")):
             return 0.0  # the unit is that of another role
-    return own + (unit is not None) if own >= other else 0.0
+    return score + (unit is not None) if score >= rival else 0.0
 
 
 def _by_motion(table: Table, motion: Guess, force: Guess) -> dict[str, Guess]:
@@ -292,14 +298,14 @@ def _by_motion(table: Table, motion: Guess, force: Guess) -> dict[str, Guess]:
             )
             guesses["force"] = Guess(best, unit_of(table, best, "force"), (doubt,))
             return guesses
-    for role, chosen in (("displacement", x), ("force", f)):
+    for role, signal in (("displacement", x), ("force", f)):
         guess = guesses[role]
         alike = [
             name
             for name, values in rivals[role].items()
-            if np.ptp(chosen) > 0.0
+            if np.ptp(signal) > 0.0
             and _score(table, name, role) == _UNIT_ALONE
-            and abs(np.corrcoef(values, chosen)[0, 1]) > ALIKE
+            and abs(np.corrcoef(values, signal)[0, 1]) > ALIKE
             and (role == "displacement" or unit_of(table, name, role) == guess.unit)
             and not any(repr(name) in doubt for doubt in guess.doubts)
         ]
@@ -309,13 +315,13 @@ def _by_motion(table: Table, motion: Guess, force: Guess) -> dict[str, Guess]:
     return guesses
 
 
-def _by_numbers(table: Table, missing: Sequence[str], taken: Sequence[str]) -> dict[str, Guess]:
+def _by_numbers(table: Table, missing: Sequence[str], excluded: Sequence[str]) -> dict[str, Guess]:
     """Time: the column that increases steadily; then the pair that looks most like a loop."""
     signals: dict[str, Array] = {}
     steady: dict[str, bool] = {}  # to whether it is a counter
     for name in table.names:
         values = None
-        if name not in taken and table.names.count(name) == 1:
+        if name not in excluded and table.names.count(name) == 1:
             values = numbers_of(table, name, is_time=True)
         if values is None or values.size < 3:
             continue
@@ -329,11 +335,11 @@ def _by_numbers(table: Table, missing: Sequence[str], taken: Sequence[str]) -> d
         names = by_loop({name: signals[name] for name in names})
     guesses: dict[str, Guess] = {}
     for role in missing:
-        found = sorted(steady, key=lambda name: steady[name]) if role == "time" else names
-        if found:
-            others = f"; it could also be {listed(found[1:])}" if found[1:] else ""
-            doubt = f"column for {role} guessed from the numbers{others}"
-            guesses[role] = Guess(found[0], unit_of(table, found[0], role), (doubt,))
+        candidates = sorted(steady, key=lambda name: steady[name]) if role == "time" else names
+        if candidates:
+            hint = f"; it could also be {listed(candidates[1:])}" if candidates[1:] else ""
+            doubt = f"column for {role} guessed from the numbers{hint}"
+            guesses[role] = Guess(candidates[0], unit_of(table, candidates[0], role), (doubt,))
             names = names if role == "time" else names[1:]
     return guesses
 
@@ -368,13 +374,13 @@ def _with_unit(table: Table, role: str, guess: Guess, guesses: Mapping[str, Gues
     if role == "time":
         return _with_unit_of_time(table, guess, guesses.get("displacement"))
     columns = [(r, guesses[r]) for r in ("displacement", "force") if r in guesses]
-    others = [unit for r, other in columns if (unit := unit_of(table, other.name, r))]
-    if role == "actuation" or not others:
+    stated_units = [unit for r, rival in columns if (unit := unit_of(table, rival.name, r))]
+    if role == "actuation" or not stated_units:
         return guess
-    unit, other = {"displacement": ("in", "mm"), "force": ("kip", "kN")}[role]
-    if _METRIC.search(" ".join(others)):
-        unit, other = other, unit
-    doubt = f"no unit of {role} is given; {unit} matches the other columns, {other} does not"
+    unit, rival = {"displacement": ("in", "mm"), "force": ("kip", "kN")}[role]
+    if _METRIC.search(" ".join(stated_units)):
+        unit, rival = rival, unit
+    doubt = f"no unit of {role} is given; {unit} matches the other columns, {rival} does not"
     return replace(guess, unit=unit, doubts=(*guess.doubts, doubt))
 
 
@@ -383,9 +389,9 @@ def _equal_stamps(table: Table, name: str) -> str:
     stamps = numbers_of(table, name, is_time=True) if name in table.stamped else None
     if stamps is None or np.all(np.diff(stamps) != 0.0) or not stamps[-1] > stamps[0]:
         return ""
-    new = np.flatnonzero(np.diff(stamps) > 0.0)
-    first, last = (new[0], new[-1]) if new.size > 1 else (0, stamps.size - 1)
-    rate = (last - first) / (stamps[last] - stamps[first])
+    changes = np.flatnonzero(np.diff(stamps) > 0.0)
+    start, end = (changes[0], changes[-1]) if changes.size > 1 else (0, stamps.size - 1)
+    rate = (end - start) / (stamps[end] - stamps[start])
     return (
         f"time stamps of {name!r} are equal in several rows, about {rate:.3g} in a second: write "
         'the rate in place of the column, time = { rate = "100 Hz" }'
@@ -488,7 +494,7 @@ NAMED = "in the file's name"
 
 
 @dataclass(frozen=True)
-class Level:
+class GuessedLevel:
     """A constant actuation: its text, such as "500 psi", and its value in the internal unit."""
 
     text: str
@@ -499,23 +505,23 @@ class Level:
 
 
 def _level(
-    name: str, match: re.Match[str], place: str, doubt: str = "", *, unit: str = "", joined: bool
-) -> Level:
+    name: str, match: re.Match[str], source: str, doubt: str = "", *, unit: str = "", joined: bool
+) -> GuessedLevel:
     """Level of a number and its unit; where the number may be another, with that doubt.
 
     Of ``1_5bar`` the last part counts, unless numbers are `joined`.
     """
     unit = unit or match[2]
     words, numbers = readings(name, match)
-    after = re.match(r"[_-](\d{1,3})(?![\da-z])", name[match.end() :], re.IGNORECASE)
-    if match.re in (_PRESSURE, _TENSION) and after and re.fullmatch(r"\d\d?", match[1]):
-        words, numbers = words + after[0], (numbers[0], float(f"{match[1]}.{after[1]}"))
+    decimals = re.match(r"[_-](\d{1,3})(?![\da-z])", name[match.end() :], re.IGNORECASE)
+    if match.re in (_PRESSURE, _TENSION) and decimals and re.fullmatch(r"\d\d?", match[1]):
+        words, numbers = words + decimals[0], (numbers[0], float(f"{match[1]}.{decimals[1]}"))
     if joined and len(numbers) > 1 and "x" not in match[1].lower():
         numbers = (*numbers[1:], numbers[0])
-    first, *others = (level_text(number, unit) for number in numbers)
-    if others:
-        doubt += f"{'; ' if doubt else ''}{words} may be {_or((first, *others))}"
-    return Level(first, *parse_actuation(first), place, doubt)
+    text, *rivals = (level_text(number, unit) for number in numbers)
+    if rivals:
+        doubt += f"{'; ' if doubt else ''}{words} may be {_or((text, *rivals))}"
+    return GuessedLevel(text, *parse_actuation(text), source, doubt)
 
 
 _PARTS = re.compile(
@@ -532,22 +538,22 @@ def writes_decimals(names: Sequence[str]) -> bool:
     They do where a number begins with 0_, or where the last parts are as long as one that is
     nothing but zeros: ``1_0bar`` beside ``0_5bar``, ``2 000psi`` beside ``1 500psi``.
     """
-    parts = [match.groups() for name in names for match in _PARTS.finditer(ungrouped(name))]
-    short = [last for whole, sign, last in parts if whole == "0" and (sign == "_" or len(last) < 3)]
-    lengths = {len(last) for *_, last in parts}
-    zeros = len(lengths) == 1 and any(not last.strip("0") for *_, last in parts)
+    groups = [match.groups() for name in names for match in _PARTS.finditer(ungrouped(name))]
+    short = [tail for head, sign, tail in groups if head == "0" and (sign == "_" or len(tail) < 3)]
+    lengths = {len(tail) for *_, tail in groups}
+    zeros = len(lengths) == 1 and any(not tail.strip("0") for *_, tail in groups)
     return bool(short) or zeros or any(map(_BARE_ZERO.search, names))
 
 
-def levels_in(name: str, *, joined: bool = False) -> tuple[Level, ...]:
+def levels_in(name: str, *, joined: bool = False) -> tuple[GuessedLevel, ...]:
     """Levels in a file's name: ``1000psi``, ``0.5kN``, ``35lb``; ``p500`` is assumed to be psi.
 
     `joined` says that names write decimals as ``1_5bar``.
     """
     name = ungrouped(name)
     levels = [_level(name, m, NAMED, joined=joined) for m in _WITH_UNIT.finditer(name)]
-    for pattern, unit, other in ((_PRESSURE, "psi", "kPa"), (_TENSION, "lbf", "N")):
-        doubt = f"{unit} is assumed; it may be {other}"
+    for pattern, unit, rival in ((_PRESSURE, "psi", "kPa"), (_TENSION, "lbf", "N")):
+        doubt = f"{unit} is assumed; it may be {rival}"
         matches = () if levels else pattern.finditer(name)
         levels += [_level(name, m, NAMED, doubt, unit=unit, joined=joined) for m in matches]
     for match in () if levels else _DRIVEN.finditer(name):
@@ -557,7 +563,7 @@ def levels_in(name: str, *, joined: bool = False) -> tuple[Level, ...]:
     return tuple(dict.fromkeys(levels))
 
 
-def level_in_header(lines: Sequence[str], names: Sequence[str]) -> tuple[Level, ...]:
+def level_in_header(lines: Sequence[str], names: Sequence[str]) -> tuple[GuessedLevel, ...]:
     """Level in the lines above the numbers or in a column's name, as ``Pressure: 500 psi``.
 
     A pressure without that word, as ``Brake at 500 psi``, gets a doubt.
@@ -579,7 +585,7 @@ def rate_in_header(lines: Sequence[str]) -> tuple[str, str]:
     """
     rates: dict[float, tuple[str, str]] = {}
     for line in (normalize("NFKC", ungrouped(text, heading=True)) for text in lines):
-        for pattern, usual in _RATES:
+        for pattern, default in _RATES:
             for match in pattern.finditer(line):
                 number, unit = match[2].replace(",", "."), (match[1] or match[3] or "").lower()
                 if re.fullmatch(r"[1-9]\d{0,2},\d{3}", match[2]) or not float(number) > 0.0:
@@ -590,8 +596,8 @@ def rate_in_header(lines: Sequence[str]) -> tuple[str, str]:
                     continue  # a unit that is not read, or a part of a number
                 unit = re.sub(rf"^(k?)(?:s/s|sa/s|sps|1/s|{_EACH})$", r"\1Hz", unit)
                 unit = unit.replace("hz", "Hz").replace("μ", "µ")
-                text = f"{number} {unit or usual}"
-                doubt = "" if unit else f"{usual} is assumed for its rate or step"
+                text = f"{number} {unit or default}"
+                doubt = "" if unit else f"{default} is assumed for its rate or step"
                 rates[step_of(text, "rate")] = text, doubt
     return next(iter(rates.values())) if len(rates) == 1 else ("", "")
 
@@ -606,7 +612,9 @@ class TestFile:
     table: Table
     columns: dict[str, Guess]  # by role, without the actuation
     column: Guess | None  # that may hold the actuation
-    levels: tuple[Level, ...]  # in the header lines or the file's name, the certain ones first
+    levels: tuple[
+        GuessedLevel, ...
+    ]  # in the header lines or the file's name, the certain ones first
 
 
 def without_shared_levels(files: list[TestFile]) -> list[TestFile]:
@@ -617,11 +625,11 @@ def without_shared_levels(files: list[TestFile]) -> list[TestFile]:
     shared = set.intersection(*names)
     return [
         file
-        if own == shared
+        if texts == shared
         else replace(
             file, levels=tuple(v for v in file.levels if v.place != NAMED or v.text not in shared)
         )
-        for file, own in zip(files, names, strict=True)
+        for file, texts in zip(files, names, strict=True)
     ]
 
 
@@ -650,16 +658,16 @@ def actuation_of(
     if file.column is not None:
         measured, mean, doubts = _measured(file.table, file.column, unit)
         if measured is not None:
-            others = [v.text for v in levels if abs(mean - v.value) > 0.1 * v.value]
-            if others:
-                shown = measured if isinstance(measured, str) else "a history"
-                doubts += (f"{_or(others)} in the name or header, {shown} in the column",)
+            rivals = [v.text for v in levels if abs(mean - v.value) > 0.1 * v.value]
+            if rivals:
+                text = measured if isinstance(measured, str) else "a history"
+                doubts += (f"{_or(rivals)} in the name or header, {text} in the column",)
             return measured, f"of column {file.column.name!r}", doubts
     if levels:
         level = levels[0]
-        others = [other.text for other in file.levels if other.text != level.text]
+        rivals = [rival.text for rival in file.levels if rival.text != level.text]
         doubts += (level.doubt,) if level.doubt else ()
-        doubts += (f"it could also be {_or(others)}",) if others else ()
+        doubts += (f"it could also be {_or(rivals)}",) if rivals else ()
         doubts += (IDLE,) if level.value == 0.0 else ()
         return level.text, level.place, doubts
     if file.levels:
@@ -668,8 +676,10 @@ def actuation_of(
             f"its actuation of {stated.text} is {actuation_kind(stated.unit)}, and those of most "
             "files are not"
         )
-    used = {guess.name for guess in file.columns.values()}
-    names = [n for n in file.table.names if n not in used and unit_of(file.table, n, "actuation")]
+    assigned = {guess.name for guess in file.columns.values()}
+    names = [
+        n for n in file.table.names if n not in assigned and unit_of(file.table, n, "actuation")
+    ]
     hint = f"; columns that might: {listed(names)}" if names else ""
     return None, hint, doubts
 
@@ -689,8 +699,8 @@ def _measured(
         return None, 0.0, (doubt,)
     mean = float(np.mean(values))
     constant = np.std(values) <= CONSTANT * mean
-    found = f"{mean:.4g} {column.unit}" if constant else replace(column, doubts=())
-    return found, actuation_factor(column.unit)[0] * mean, column.doubts
+    actuation = f"{mean:.4g} {column.unit}" if constant else replace(column, doubts=())
+    return actuation, actuation_factor(column.unit)[0] * mean, column.doubts
 
 
 def _or(texts: Sequence[str]) -> str:

@@ -111,10 +111,10 @@ def _one_of(
     """Validator of a name in a registry, which is read when a campaign is, or of a user's own."""
 
     def check(value: object, info: ValidationInfo) -> object:
-        *others, last = map(repr, names())
-        if repr(value) in (*others, last) or (isinstance(value, str) and is_own(value, info)):
+        *choices, final = map(repr, names())
+        if repr(value) in (*choices, final) or (isinstance(value, str) and is_own(value, info)):
             return value
-        expected = f"Input should be {', '.join(others)} or {last}"
+        expected = f"Input should be {', '.join(choices)} or {final}"
         raise PydanticCustomError("literal_error", expected)
 
     return BeforeValidator(check)
@@ -189,14 +189,14 @@ def _celsius(value: object) -> object:
     return {"C": number, "F": (number - 32.0) / 1.8, "K": number - 273.15}[read[2]]
 
 
-def _all_dependences(given: Mapping[str, Any], info: ValidationInfo) -> dict[str, Any]:
+def _all_dependences(dependences: Mapping[str, Any], info: ValidationInfo) -> dict[str, Any]:
     """Covariates of each quantity of the model; "Fc" stands for both directions."""
     gap = "d2" if _model_of(info) == "three_stage" else "gap"
-    found: dict[str, Any] = {}
-    for name, which in given.items():
-        for each in {"Fc": ("Fc_fwd", "Fc_bwd"), "gap": (gap,)}.get(name, (name,)):
-            found[each] = tuple(dict.fromkeys((*found.get(each, ()), *which)))
-    return {name: which for name, which in found.items() if which}
+    expanded: dict[str, Any] = {}
+    for name, covariates in dependences.items():
+        for quantity in {"Fc": ("Fc_fwd", "Fc_bwd"), "gap": (gap,)}.get(name, (name,)):
+            expanded[quantity] = tuple(dict.fromkeys((*expanded.get(quantity, ()), *covariates)))
+    return {name: covariates for name, covariates in expanded.items() if covariates}
 
 
 def check_id(name: str) -> str:
@@ -218,17 +218,17 @@ def _once(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-def _all_laws(given: dict[str, LawName], info: ValidationInfo) -> dict[str, Any]:
+def _all_laws(law_names: dict[str, LawName], info: ValidationInfo) -> dict[str, Any]:
     """Law of every sampled quantity; a law that is tied to another may not differ from it."""
     if _model_of(info) is None:
-        return dict(given)
-    laws = complete_laws(given)
+        return dict(law_names)
+    laws = complete_laws(law_names)
     for model in models.MODELS.values():
-        for name, other in model.tied_laws.items():
-            if laws[name] != laws[other]:
+        for name, source in model.shared_laws.items():
+            if laws[name] != laws[source]:
                 raise ValueError(
-                    f"{name} must have the law of {other} ({laws[other]!r}), since it follows "
-                    f"{other}; got {laws[name]!r}"
+                    f"{name} must have the law of {source} ({laws[source]!r}), since it follows "
+                    f"{source}; got {laws[name]!r}"
                 )
     return {name: laws[name] for name in default_laws()}
 
@@ -254,7 +254,7 @@ Covariates = Annotated[
 ]
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A table of a campaign file; unknown keys, NaN and infinity are errors."""
 
     model_config = ConfigDict(
@@ -262,7 +262,7 @@ class Table(BaseModel):
     )
 
 
-class Column(Table):
+class Column(TomlTable):
     """A column of a test file."""
 
     name: Annotated[str, Field(min_length=1, max_length=NAME)] | None = None
@@ -290,10 +290,14 @@ class Column(Table):
     @property
     def source(self) -> Source:
         """The column as records are read."""
-        parts = self.model_dump(exclude={"name", "column", "unit", "minus"}, exclude_none=True)
-        other = getattr(self, "minus", None)
-        minus = None if other is None else Subtracted(other.key, other.unit, other.times)
-        return Source(None if parts.get("rate") else self.key, self.unit, minus, **parts)
+        options = self.model_dump(exclude={"name", "column", "unit", "minus"}, exclude_none=True)
+        subtrahend = getattr(self, "minus", None)
+        minus = (
+            None
+            if subtrahend is None
+            else Subtracted(subtrahend.key, subtrahend.unit, subtrahend.times)
+        )
+        return Source(None if options.get("rate") else self.key, self.unit, minus, **options)
 
 
 class TimeColumn(Column):
@@ -345,7 +349,7 @@ class ForceColumn(DisplacementColumn):
     fitted to a tenth of a half-cycle (Savitzky–Golay)"""
 
 
-class Columns(Table):
+class Columns(TomlTable):
     """The column of each role in a test file."""
 
     time: TimeColumn | None = None
@@ -379,7 +383,7 @@ class Columns(Table):
 _MEASURED = ("displacement", "force", "velocity")
 
 
-class General(Table):
+class General(TomlTable):
     """The table `[campaign]`."""
 
     title: Annotated[str, Field(max_length=1000)] = ""
@@ -407,7 +411,7 @@ class General(Table):
     self-energizing factors; with pressures only"""
 
 
-class TestTable(Table):
+class TestTable(TomlTable):
     """One `[[test]]`."""
 
     __test__ = False
@@ -457,8 +461,8 @@ class TestTable(Table):
         """What is known of date (decimal years), cycles and temperature (°C)."""
         day = None if self.date is None else date.fromisoformat(self.date)
         years = None if day is None else day.year + (day.timetuple().tm_yday - 1) / 365.25
-        known = {"date": years, "cycles": self.cycles, "temperature": self.temperature}
-        return {name: value for name, value in known.items() if value is not None}
+        values = {"date": years, "cycles": self.cycles, "temperature": self.temperature}
+        return {name: value for name, value in values.items() if value is not None}
 
     @property
     def actuation_unit(self) -> str:
@@ -468,7 +472,7 @@ class TestTable(Table):
         return split_quantity(self.actuation or NO_ACTUATION)[1]
 
 
-class GoalTable(Table):
+class GoalTable(TomlTable):
     """The table `[goal]`."""
 
     quantity: Annotated[str, Field(min_length=1, max_length=100)] = "band"
@@ -491,7 +495,7 @@ class GoalTable(Table):
     """of the actuator: velocity, stroke and force, `"10 in/s, 6 in, 20 kip"`"""
 
 
-class CampaignFile(Table):
+class CampaignFile(TomlTable):
     """A whole campaign file; the manifest of a run holds it as `settings`."""
 
     campaign: General = General()
@@ -571,8 +575,8 @@ class CampaignFile(Table):
 
     def checks_noise(self, effort: str) -> bool:
         """Whether tests are fitted under other noises too: as the file says, else unless quick."""
-        given = self.campaign.noise_check
-        return effort != "quick" if given is None else given
+        setting = self.campaign.noise_check
+        return effort != "quick" if setting is None else setting
 
     def inference(self, effort: str, seed: Sequence[int], jobs: int = 1) -> InferenceSettings:
         """Settings of the inference of the population."""
@@ -585,12 +589,12 @@ class CampaignFile(Table):
         )
 
 
-def complete_tolerances(given: Mapping[str, float] | None) -> dict[str, float]:
+def complete_tolerances(tolerances: Mapping[str, float] | None) -> dict[str, float]:
     """Every tolerance, as given or by default."""
-    return {name: default for name, (default, _) in TOLERANCES.items()} | dict(given or {})
+    return {name: default for name, (default, _) in TOLERANCES.items()} | dict(tolerances or {})
 
 
-TABLES: Mapping[str, type[Table]] = MappingProxyType(
+TABLES: Mapping[str, type[TomlTable]] = MappingProxyType(
     {
         "": CampaignFile,
         "campaign": General,
@@ -613,8 +617,8 @@ def keys_of(table: str) -> dict[str, tuple[str, str]]:
     if table == "laws":
         defaults = {name: f'`"{law}"`' for name, law in complete_laws({}).items()}
         for model in models.MODELS.values():
-            tied = {**model.laws_from, **model.tied_laws}
-            defaults |= {name: f"that of `{other}`" for name, other in tied.items()}
+            tied = {**model.laws_from, **model.shared_laws}
+            defaults |= {name: f"that of `{source}`" for name, source in tied.items()}
         return {name: (default, LAWS.get(name, "")) for name, default in defaults.items()}
     if table == "dependence":
         return {name: ("`[]`", meaning) for name, meaning in DEPENDENCE.items()}
@@ -631,7 +635,7 @@ def keys_of(table: str) -> dict[str, tuple[str, str]]:
             return f'`"{default}"`'
         if isinstance(default, tuple):
             return "`[]`"
-        return "`{}`" if isinstance(default, Table) else f"`{default}`"
+        return "`{}`" if isinstance(default, TomlTable) else f"`{default}`"
 
     fields = TABLES[table].model_fields
     return {

@@ -131,18 +131,18 @@ def write_campaign(folder: Path, seed: int, matrix: Matrix = Matrix()) -> dict[s
         )
     head = _HEADER + (_AFFINE if 0.0 in matrix.pressures else "")
     write_text(folder / "campaign.toml", head + "\n".join(entries))
-    known = {name: value for name, value in matrix.laws.items() if value}
+    truth = {name: value for name, value in matrix.laws.items() if value}
     # the slip force and d2 of the population are combinations of the values drawn here
     combined = ("Fc_fwd", "Fc_bwd", "d2", "d3")
-    known |= {f"scatter_{name}": sd for name, sd in _SCATTER.items() if name not in combined}
-    known["scatter_d3"] = float(np.sqrt(2.0)) * _SCATTER["d3"]  # of d3/d2: both have this scatter
-    known["scatter_offset"] = _OFFSET
+    truth |= {f"scatter_{name}": sd for name, sd in _SCATTER.items() if name not in combined}
+    truth["scatter_d3"] = float(np.sqrt(2.0)) * _SCATTER["d3"]  # of d3/d2: both have this scatter
+    truth["scatter_offset"] = _OFFSET
     for side in ("fwd", "bwd"):
         excess = f"static_excess_{side}"
-        known[f"K_s_{side}"] = known[f"K_c_{side}"] * (1 + _MEDIANS[excess])
+        truth[f"K_s_{side}"] = truth[f"K_c_{side}"] * (1 + _MEDIANS[excess])
         for true in tests.values():
             true[f"Fs_{side}"] = true[f"Fc_{side}"] * (1 + true[excess])
-    return {"population": known, "tests": tests}
+    return {"population": truth, "tests": tests}
 
 
 def draw_values(

@@ -55,8 +55,8 @@ def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> Rows:
     sessions, "another device" a test of a new one, in a new session where there are several. With
     one device the latter is not known.
     """
-    drawn = drawn_properties(run, trace, places_of(run))
-    return bounds_of(drawn, probability, f"from {len(run.devices)} devices")
+    draws = drawn_properties(run, trace, places_of(run))
+    return bounds_of(draws, probability, f"from {len(run.devices)} devices")
 
 
 def drawn_properties(
@@ -68,34 +68,34 @@ def drawn_properties(
     measured peaks, the others its scatter too. Energies of the
     cycles at full stroke, "energy", are (n, L).
     """
-    peaks, axes, drawn = run.peaks, run.manifest.axes, {}
+    peaks, axes, properties = run.peaks, run.manifest.axes, {}
 
     def draw(kind: str, session: str, device: str, draws: int) -> Band:
         how: dict[str, Any] = {"session": session, "device": device, "draws": draws}
         return run.predict(trace, kind, **how)
 
     n = n_draws(places)
-    bands = {k: [draw(k, *place, n) for place in places] for k in KIND_NAMES if k in BASES}
+    bands = {k: [draw(k, *pair, n) for pair in places] for k in KIND_NAMES if k in BASES}
     if len(run.devices) > 1:
         session = NEW if len(sessions_of(run)) > 1 else sessions_of(run)[0]
         bands[ANOTHER] = [draw("new_test", session, NEW, DESIGN_DRAWS)]
     for basis, several in bands.items():
         excess = certain(peaks) if basis == "mean" else peaks
         quiet = bands["new_test"] if basis == "observation" else several
-        parts = [
+        band_properties = [
             properties_of(trace, band.draws, excess, smooth=without_noise(band, test))
             | {"energy": cycle_energies(trace, band.draws)}
             for band, test in zip(several, quiet, strict=True)
         ]
-        drawn[basis] = {
-            name: np.concatenate([part[name] for part in parts])
+        properties[basis] = {
+            name: np.concatenate([values[name] for values in band_properties])
             for name in (*DESIGN_PROPERTIES, "energy")
             if axes.has(name)
         }
-    return drawn
+    return properties
 
 
-def bounds_of(drawn: Mapping[str, Mapping[str, Array]], probability: float, note: str = "") -> Rows:
+def bounds_of(draws: Mapping[str, Mapping[str, Array]], probability: float, note: str = "") -> Rows:
     """Bounds of draws (n,) by basis and property; "mean" has the nominal values.
 
     A basis of `BASES` that is missing is not known, and its bounds are NaN. The `note` is of
@@ -103,18 +103,18 @@ def bounds_of(drawn: Mapping[str, Mapping[str, Array]], probability: float, note
     """
     rows = []
     for name in DESIGN_PROPERTIES:
-        mean = drawn["mean"].get(name, np.empty(0))
+        mean = draws["mean"].get(name, np.empty(0))
         if not np.any(np.isfinite(mean)):  # the motion has no full cycle
             continue
         for basis in BASES:
-            values = drawn.get(basis, {}).get(name, np.empty(0))
-            if basis in drawn and not np.any(np.isfinite(values)):
+            values = draws.get(basis, {}).get(name, np.empty(0))
+            if basis in draws and not np.any(np.isfinite(values)):
                 continue
-            about = note if basis == ANOTHER else ""
+            basis_note = note if basis == ANOTHER else ""
             rows.append(
                 {"name": name, "unit": UNITS[name], "basis": basis, "of": BASES[basis]}
                 | bounds(mean, values, probability)
-                | {"note": about if basis in drawn else NOT_KNOWN}
+                | {"note": basis_note if basis in draws else NOT_KNOWN}
             )
     return tuple(rows)
 

@@ -40,11 +40,11 @@ from mfd_bayes.evaluation.views import (
     SCATTER,
     Check,
 )
-from mfd_bayes.messages import Message, Quantity
-from mfd_bayes.population.bands import Forecast
-from mfd_bayes.population.design import Setting
+from mfd_bayes.messages import Measure, Message
+from mfd_bayes.population.bands import PredictionOptions
+from mfd_bayes.population.design import TestConditions
 from mfd_bayes.records.loops import MeasuredCycles
-from mfd_bayes.runs.manifest import Finding, Verdict
+from mfd_bayes.runs.manifest import CheckStatus, Finding
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
@@ -90,10 +90,10 @@ def convergence_checks(test: str, rows: Iterable[Row], effort: Effort) -> list[C
     for row in rows:
         if np.isnan(row["r_hat"]):
             continue
-        good = Verdict.of(row["r_hat"] <= effort.r_hat)
-        checks.append(Check(test, "R-hat", row["name"], row["r_hat"], effort.r_hat, good))
+        verdict = CheckStatus.of(row["r_hat"] <= effort.r_hat)
+        checks.append(Check(test, "R-hat", row["name"], row["r_hat"], effort.r_hat, verdict))
         for name, key in (("bulk ESS", "ess_bulk"), ("tail ESS", "ess_tail")):
-            enough = Verdict.of(row[key] >= effort.ess)
+            enough = CheckStatus.of(row[key] >= effort.ess)
             checks.append(Check(test, name, row["name"], row[key], effort.ess, enough))
     return checks
 
@@ -104,7 +104,7 @@ def length_check(test: str, facts: Mapping[str, Any], effort: Effort) -> Check:
     slowest, time = max(times.items(), key=lambda item: item[1])
     lengths = (facts["steps"] - facts["discarded"]) / time
     return Check(
-        test, LENGTH, slowest, lengths, effort.length, Verdict.of(lengths >= effort.length)
+        test, LENGTH, slowest, lengths, effort.length, CheckStatus.of(lengths >= effort.length)
     )
 
 
@@ -129,21 +129,21 @@ def predictive_checks(
         feature, _, unit = check.name.partition(", ")
         sizes = check.observed, check.expected, check.size, check.p_value
         checks.append(feature_check(test, feature, unit or "1", *sizes, allowed[check.kind]))
-    seen = measured_properties(measured)
+    observed = measured_properties(measured)
     axes = posterior.model.axes
     for name, (feature, check_name) in _FEATURES.items():
         if not axes.has(name):
             continue
-        values, own = properties[name][np.isfinite(properties[name])], seen[name]
-        if not values.size or not np.isfinite(own):
+        values, value = properties[name][np.isfinite(properties[name])], observed[name]
+        if not values.size or not np.isfinite(value):
             continue
         if name == "energy_in_all" and measured.full_stroke.all() and measured.full_stroke.size:
             continue  # it says the same as the energy of a cycle
         expected = float(values.mean())
-        difference = (expected - own) / max(abs(own), 1e-12)
+        difference = (expected - value) / max(abs(value), 1e-12)
         tolerance = allowed[TOLERANCE_OF.get(name, "energy")]
-        p_value = share_above(values, own)
-        figures = UNITS[name], own, expected, difference, p_value, tolerance, check_name
+        p_value = share_above(values, value)
+        figures = UNITS[name], value, expected, difference, p_value, tolerance, check_name
         checks.append(feature_check(test, feature, *figures))
     return checks
 
@@ -166,11 +166,11 @@ def feature_check(
     beyond `GROSS` tolerances not at all; an estimate from the loop is noted.
     """
     likely = EXTREME <= p_value <= 1.0 - EXTREME
-    status = Verdict.PASS if likely else _of_size(abs(difference), tolerance)
-    if status == Verdict.WARNING and feature.startswith("energy") and observed < 0.0:
-        status = Verdict.FAIL  # no damper makes energy
-    if check == LOOP_ESTIMATE and status != Verdict.PASS:
-        status = Verdict.NOTE
+    status = CheckStatus.PASS if likely else _of_size(abs(difference), tolerance)
+    if status == CheckStatus.WARNING and feature.startswith("energy") and observed < 0.0:
+        status = CheckStatus.FAIL  # no damper makes energy
+    if check == LOOP_ESTIMATE and status != CheckStatus.PASS:
+        status = CheckStatus.NOTE
     figures = unit, difference, tolerance, p_value
     return Check(test, check, feature, observed, expected, status, *figures)
 
@@ -181,20 +181,20 @@ def coverage_checks(score: Row, tolerances: Mapping[str, float] | None = None) -
     checks = []
     for probability in COVERAGES:
         share = score[f"coverage_{100 * probability:.0f}"]
-        away = share - probability
-        status, note = _of_size(-away, tolerance), ""
-        if status == Verdict.PASS and away > tolerance:
-            status, note = Verdict.NOTE, "the band is wider than necessary"
+        difference = share - probability
+        status, note = _of_size(-difference, tolerance), ""
+        if status == CheckStatus.PASS and difference > tolerance:
+            status, note = CheckStatus.NOTE, "the band is wider than necessary"
         feature = f"coverage of the {100 * probability:.0f} % band"
         figures = score["test"], COVERAGE, feature, share, probability, status
-        checks.append(Check(*figures, difference=away, tolerance=tolerance, note=note))
+        checks.append(Check(*figures, difference=difference, tolerance=tolerance, note=note))
     return checks
 
 
-def _of_size(size: float, tolerance: float) -> Verdict:
+def _of_size(size: float, tolerance: float) -> CheckStatus:
     if size <= tolerance:
-        return Verdict.PASS
-    return Verdict.WARNING if size <= GROSS * tolerance else Verdict.FAIL
+        return CheckStatus.PASS
+    return CheckStatus.WARNING if size <= GROSS * tolerance else CheckStatus.FAIL
 
 
 def slip_checks(
@@ -204,14 +204,14 @@ def slip_checks(
 
     Replicated records do not show it, for the noise stands in for the friction there.
     """
-    own, offset = measured.of_test(), float(np.median(values["offset"]))
-    sides = (own["slip_fwd"] - offset, own["slip_bwd"] + offset)
+    estimates, offset = measured.of_test(), float(np.median(values["offset"]))
+    sides = (estimates["slip_fwd"] - offset, estimates["slip_bwd"] + offset)
     checks = []
     for name, slip in zip(posterior.model.slip_forces, sides, strict=False):
         middle = float(np.median(values[name]))
         if slip > 0.0 and not slip / FAR <= middle <= FAR * slip:
             sizes = "kip", middle / slip - 1.0, FAR - 1.0
-            checks.append(Check(test, LOOP_ESTIMATE, name, slip, middle, Verdict.FAIL, *sizes))
+            checks.append(Check(test, LOOP_ESTIMATE, name, slip, middle, CheckStatus.FAIL, *sizes))
     return checks
 
 
@@ -226,7 +226,7 @@ def loop_estimates(checks: Iterable[Check], properties: Mapping[str, Array]) -> 
             estimates.append(
                 {"test": check.test, "name": check.feature, "unit": check.unit}
                 | {"value": check.observed, "lower": low, "median": middle, "upper": high}
-                | {"tolerance": check.tolerance, "missed": check.status != Verdict.PASS}
+                | {"tolerance": check.tolerance, "missed": check.status != CheckStatus.PASS}
             )
     return tuple(estimates)
 
@@ -236,7 +236,7 @@ def notes(test: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[Chec
     checks = [
         Check(
             *(test, CONTRACTION, row["name"], row["contraction"], INFORMED),
-            Verdict.pass_or_note(row["contraction"] >= INFORMED),
+            CheckStatus.pass_or_note(row["contraction"] >= INFORMED),
         )
         for row in rows
         if np.isfinite(row["contraction"])
@@ -244,9 +244,11 @@ def notes(test: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[Chec
     shares = np.sort(np.atleast_2d(facts.get("mode_shares", [[]])).mean(axis=0))[::-1]
     if facts["modes"] > 1 and (shares.size < 2 or shares[1] >= SMALLEST_MODE):
         second = float(shares[1]) if shares.size > 1 else 0.0
-        status = Verdict.WARNING if second >= SECOND_MODE else Verdict.NOTE
-        held = ", ".join(f"{100 * share:.0f} %" for share in shares if share >= SMALLEST_MODE)
-        feature = f"posterior ({held} of the draws)" if held else "posterior"
+        status = CheckStatus.WARNING if second >= SECOND_MODE else CheckStatus.NOTE
+        shares_text = ", ".join(
+            f"{100 * share:.0f} %" for share in shares if share >= SMALLEST_MODE
+        )
+        feature = f"posterior ({shares_text} of the draws)" if shares_text else "posterior"
         checks.append(Check(test, MODES, feature, facts["modes"], 1.0, status))
     return checks
 
@@ -254,9 +256,9 @@ def notes(test: str, rows: Iterable[Row], facts: Mapping[str, Any]) -> list[Chec
 def directions_check(test: str, directions: Directions) -> Check:
     """A check that cannot fail: the directions that the data of a test inform."""
     total, informed = len(directions.names), directions.informed
-    best, least = (" and ".join(directions.carriers(at)) for at in (0, total - 1))
-    feature = f"of {total} (best: {best}; least: {least})"
-    status = Verdict.pass_or_note(informed >= total)
+    best, worst = (" and ".join(directions.carriers(index)) for index in (0, total - 1))
+    feature = f"of {total} (best: {best}; least: {worst})"
+    status = CheckStatus.pass_or_note(informed >= total)
     return Check(test, DIRECTIONS, feature, informed, total, status)
 
 
@@ -269,7 +271,7 @@ def exponent_checks(exponents: Mapping[str, Iterable[float]]) -> list[Check]:
     checks = []
     for name, (low, middle, high) in exponents.items():
         holds = low <= 1.0 <= high
-        status = Verdict.pass_or_note(high - low <= TELLING) if holds else Verdict.WARNING
+        status = CheckStatus.pass_or_note(high - low <= TELLING) if holds else CheckStatus.WARNING
         note = f"95 % interval {low:.2f} to {high:.2f}"
         checks.append(Check("population", FREE_EXPONENT, name, middle, 1.0, status, note=note))
     return checks
@@ -317,22 +319,22 @@ def outlying_tests(run: Run) -> list[Finding]:
         tests = np.flatnonzero(design.informs[:, columns[0]])
         if tests.size < FEWEST:
             continue
-        for row, column, away in standing_out(
+        for row, column, distance in standing_out(
             deviations[tests][:, columns], sds[tests][:, columns]
         ):
             j, k = int(tests[row]), columns[column]
-            others = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
+            expected = np.median(np.delete(deviations[:, k], j)) + medians[j, k]
             name = design.names[k]
             standard = name in run.model.standard_names
             unit = "1" if standard and name == "d3" else units(run.model)[name]
-            shown = _WORDS.get(name, name) if standard else name
+            label = _WORDS.get(name, name) if standard else name
             values = {
-                key: Quantity.of(value, unit=unit) if unit != "1" else f"{value:.3g}"
-                for key, value in (("own", np.exp(places[j, k])), ("others", np.exp(others)))
+                key: Measure.of(value, unit=unit) if unit != "1" else f"{value:.3g}"
+                for key, value in (("own", np.exp(places[j, k])), ("others", np.exp(expected)))
             }
             message = Message(
-                f"{{test}} stands apart from the other tests: {shown} {{own}}, "
-                f"where the others suggest {{others}}, {away:.1f} standard deviations of tests "
+                f"{{test}} stands apart from the other tests: {label} {{own}}, "
+                f"where the others suggest {{others}}, {distance:.1f} standard deviations of tests "
                 "away; check its displacement, units and actuation before you use the campaign",
                 {"test": names[j], **values},
             )
@@ -349,13 +351,15 @@ def standing_out(deviations: Array, sds: Array) -> Iterator[tuple[int, int, floa
     count, size = deviations.shape
     limit = -float(special.stdtrit(count - 2, 0.5 * RARE / max(count * size, 1)))
     for j in range(count):
-        others = np.delete(deviations, j, axis=0)
-        known = np.mean(np.delete(sds, j, axis=0) ** 2, axis=0)
-        spread = np.maximum(others.var(axis=0, ddof=1), np.maximum(known, 1e-24))
-        sd = np.sqrt(spread * (1.0 + 1.0 / (count - 1)) + np.maximum(sds[j] ** 2 - known, 0.0))
-        away = np.abs(deviations[j] - others.mean(axis=0)) / sd
-        for i in np.flatnonzero(away > limit).tolist():
-            yield j, i, float(away[i])
+        peers = np.delete(deviations, j, axis=0)
+        mean_variance = np.mean(np.delete(sds, j, axis=0) ** 2, axis=0)
+        spread = np.maximum(peers.var(axis=0, ddof=1), np.maximum(mean_variance, 1e-24))
+        sd = np.sqrt(
+            spread * (1.0 + 1.0 / (count - 1)) + np.maximum(sds[j] ** 2 - mean_variance, 0.0)
+        )
+        distances = np.abs(deviations[j] - peers.mean(axis=0)) / sd
+        for i in np.flatnonzero(distances > limit).tolist():
+            yield j, i, float(distances[i])
 
 
 def _places(run: Run) -> tuple[Array, Array, Array]:
@@ -365,9 +369,9 @@ def _places(run: Run) -> tuple[Array, Array, Array]:
     index = rng.choice(population.size, size=min(DRAWS, population.size))
     places, medians, sds = [], [], []
     for name, setting in zip(run.tests, design.settings, strict=True):
-        drawn = design.coordinates.of(run.tests[name].stored.values())[:, :d]
-        places.append(drawn.mean(axis=0))
-        sds.append(drawn.std(axis=0))
+        draws = design.coordinates.of(run.tests[name].stored.values())[:, :d]
+        places.append(draws.mean(axis=0))
+        sds.append(draws.std(axis=0))
         medians.append(_coordinates(run, setting, index, rng).mean(axis=0))
     centre, spread = design.coordinates.centre[:d], design.spread
     scaled = (centre + spread * np.array(x) for x in (places, medians))
@@ -391,15 +395,15 @@ def scatter_checks(run: Run) -> list[Check]:
     for (name, draws), sd in zip(scatters.items(), run.population.scatter_scales, strict=False):
         scatter = float(np.median(draws))
         if name in named and scatter > MUCH * sd:
-            shown = _WORDS.get(name, name) if run.model.standard_names else name
-            figures = "population", SCATTER, shown, scatter, float(sd)
-            checks.append(Check(*figures, Verdict.WARNING))
+            label = _WORDS.get(name, name) if run.model.standard_names else name
+            figures = "population", SCATTER, label, scatter, float(sd)
+            checks.append(Check(*figures, CheckStatus.WARNING))
     return checks
 
 
 def _coordinates(
     run: Run,
-    setting: Setting,
+    setting: TestConditions,
     index: NDArray[np.intp],
     rng: np.random.Generator,
     *,
@@ -427,18 +431,18 @@ def uncommon_device_values(run: Run) -> list[Finding]:
     rng = np.random.default_rng(0)
     for test, setting in zip(run.tests.values(), run.population.design.settings, strict=True):
         index = run.population.draw_index(DRAWS, setting.actuation, rng) % run.population.size
-        drawn = run.population.values(_coordinates(run, setting, index, rng, scatter=True))
-        own = dict(test.intervals)
-        if {"d2", "d3"} <= drawn.keys() & model.standard_names:
-            drawn["gap"] = drawn["d2"] + drawn["d3"]
-            middle, lower, upper = (own["d2"][k] + own["d3"][k] for k in range(3))
-            own["gap"] = middle, lower, upper
+        draws = run.population.values(_coordinates(run, setting, index, rng, scatter=True))
+        intervals = dict(test.intervals)
+        if {"d2", "d3"} <= draws.keys() & model.standard_names:
+            draws["gap"] = draws["d2"] + draws["d3"]
+            middle, lower, upper = (intervals["d2"][k] + intervals["d3"][k] for k in range(3))
+            intervals["gap"] = middle, lower, upper
         for name in of_device:
-            if name in drawn:
-                low, high = np.quantile(drawn[name], [0.025, 0.975]).tolist()
-                middle, lower, upper = own[name]
-                outside = lower > high or upper < low
-                rows.setdefault(name, []).append((low, high, middle, outside))
+            if name in draws:
+                low, high = np.quantile(draws[name], [0.025, 0.975]).tolist()
+                middle, lower, upper = intervals[name]
+                is_outside = lower > high or upper < low
+                rows.setdefault(name, []).append((low, high, middle, is_outside))
     findings = []
     for name, of_tests in rows.items():
         lows, highs, middles, outside_of = zip(*of_tests, strict=True)
@@ -450,8 +454,8 @@ def uncommon_device_values(run: Run) -> list[Finding]:
             f"{name} of the device, {{device}}, is outside of {count} of its {len(of_tests)} "
             "tests, which have {tests} each by itself",
             {
-                "device": Quantity.of(min(lows), max(highs), unit=unit),
-                "tests": Quantity.of(min(middles), max(middles), unit=unit),
+                "device": Measure.of(min(lows), max(highs), unit=unit),
+                "tests": Measure.of(min(middles), max(middles), unit=unit),
             },
         )
         findings.append(Finding("laws", "device value", message, stage="results"))
@@ -465,19 +469,19 @@ def contradicted_order(run: Run) -> list[Finding]:
     end of the test before do not overlap, one of the two is wrong, or the device was moved.
     """
     findings = []
-    for name, after in run.manifest.settings.order.items():
+    for name, predecessor in run.manifest.settings.order.items():
         test = run.tests.get(name)
-        if test is None or after not in run.tests or "start" not in test.posterior.names:
+        if test is None or predecessor not in run.tests or "start" not in test.posterior.names:
             continue
         model, trace = test.posterior.model, test.trace
-        before = run.sequence.before(name, trace, Forecast(draws=START_DRAWS))
+        ending = run.sequence.before(name, trace, PredictionOptions(draws=START_DRAWS))
         values = run.sequence.values(name)
-        own, theta = values["start"], model.theta(values)
-        expected = own if before is None else before.starts(model, theta, trace, 0)
+        starts, theta = values["start"], model.theta(values)
+        expected = starts if ending is None else ending.starts(model, theta, trace, 0)
         # the place of a start is the start of a place: both count along the first direction
         (low, middle, high), (lowest, ended, highest) = (
             np.quantile(model.start_at(start, trace), [0.025, 0.5, 0.975]).tolist()
-            for start in (own, expected)
+            for start in (starts, expected)
         )
         if (low > highest or high < lowest) and abs(middle - ended) >= LEAST:
             message = Message(
@@ -485,7 +489,7 @@ def contradicted_order(run: Run) -> list[Finding]:
                 f"backward, 1: slip forward), but test {{after}} ended at {ended:.2f} "
                 f"[{lowest:.2f}, {highest:.2f}]: check whether the device was reset or moved in "
                 "between",
-                {"after": after},
+                {"after": predecessor},
             )
             findings.append(Finding(name, "start in the gap", message, stage="results"))
     return findings

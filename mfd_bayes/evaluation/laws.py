@@ -20,7 +20,7 @@ from mfd_bayes.population.design import (
     INTERCEPTS,
     LAW_NAMES,
     LAWS,
-    Setting,
+    TestConditions,
     law_unit,
     shapes_of,
 )
@@ -42,9 +42,9 @@ def law_rows(run: Run) -> Rows:
     Where laws are compared, those of each law with its weight.
     """
     population, design, unit = run.population, run.population.design, run.actuation_unit
-    kinds, at = units(run.model), run.system.words([design.reference], unit, actuation=True)
-    rows = mixed_rows(run, at)
-    drawn = dict(population.slopes) if run.model.standard_names else {}
+    kinds, level = units(run.model), run.system.words([design.reference], unit, actuation=True)
+    rows = mixed_rows(run, level)
+    constants = dict(population.slopes) if run.model.standard_names else {}
     for name, law in design.laws.items():
         if law == COMPARE:  # a mixture has no constants of its own
             continue
@@ -53,9 +53,11 @@ def law_rows(run: Run) -> Rows:
         ):  # what follows a law, at the reference actuation of the laws
             draws = population.median(name, [design.reference])[..., 0]
             converged = _converged(draws, population.walkers)
-            rows.append(_row(name, kinds[name], draws, f"{law} law; at {at}", **converged))
+            rows.append(_row(name, kinds[name], draws, f"{law} law; at {level}", **converged))
         shapes = dict(zip(("share", "exponent"), population.shapes(name), strict=True))
-        drawn |= {f"{shape}_{name}": shapes[shape] for shape in shapes if shape in shapes_of(law)}
+        constants |= {
+            f"{shape}_{name}": shapes[shape] for shape in shapes if shape in shapes_of(law)
+        }
     if not run.model.standard_names:
         for name in (n for n in design.names if n in run.model.parameters and n not in design.laws):
             draws = population.median(name, [design.reference])[..., 0]
@@ -63,13 +65,13 @@ def law_rows(run: Run) -> Rows:
             rows.append(_row(name, kinds[name], draws, "median over the tests", **converged))
     spreads = {f"scatter_{name}": tau for name, tau in population.scatters.items()}
     spreads |= {f"deviation_{name}": omega for name, omega in population.effect_sds.items()}
-    drawn |= spreads | {f"dependence_{name}": b for name, b in population.dependences.items()}
+    constants |= spreads | {f"dependence_{name}": b for name, b in population.dependences.items()}
     # the prior's standard deviation, of a half-normal
     prior_sds = np.sqrt(1.0 - 2.0 / np.pi) * population.scatter_scales
     prior_sd = dict(zip(spreads, prior_sds.tolist(), strict=True))
     # the scatter of what may be negative is not of a logarithm
-    negative = {f"scatter_{q.name}": q.unit for q in run.model.quantities if q.least < 0.0}
-    for name, draws in drawn.items():
+    negative = {f"scatter_{q.name}": q.unit for q in run.model.quantities if q.lower < 0.0}
+    for name, draws in constants.items():
         shrunk = float("nan")
         if name in prior_sd:
             shrunk = float(contraction(np.array([prior_sd[name]]), draws.reshape(-1, 1))[0])
@@ -92,25 +94,25 @@ def _converged(draws: Array, walkers: int) -> dict[str, float]:
     return {"r_hat": measured.worst_r_hat, "ess_bulk": bulk, "ess_tail": tail}
 
 
-def mixed_rows(run: Run, at: str) -> list[Row]:
-    """Constants of every law of each quantity whose laws are compared; `at` is the reference.
+def mixed_rows(run: Run, level: str) -> list[Row]:
+    """Constants of every law of each quantity whose laws are compared; `level` is the reference.
 
     Each draw of the population has one law. The rows of a law are of the draws that have it, so
     they hold given that law; a law of too few draws has none. R-hat and effective sample sizes of
     such a part of the chains are not known.
     """
     population, unit, kinds, rows = run.population, run.actuation_unit, units(run.model), []
-    for column, (name, chosen) in enumerate(population.design.laws.items()):
-        for number, law in enumerate(LAW_NAMES if chosen == COMPARE else ()):
-            picked = population.choice[..., column] == number
-            if np.count_nonzero(picked) < FEWEST:
+    for column, (name, choice) in enumerate(population.design.laws.items()):
+        for number, law in enumerate(LAW_NAMES if choice == COMPARE else ()):
+            mask = population.choice[..., column] == number
+            if np.count_nonzero(mask) < FEWEST:
                 continue
-            about = f"{law} law, weight {population.law_weights[name].get(law, 0.0):.2g}"
+            description = f"{law} law, weight {population.law_weights[name].get(law, 0.0):.2g}"
             for constant, draws in _constants(population, name, law).items():
                 of_level = constant == name
                 of_unit = kinds[name] if of_level else law_unit(constant, unit)
-                note = f"{about}; at {at}" if of_level else about
-                rows.append(_row(constant, of_unit, draws[picked], note))
+                note = f"{description}; at {level}" if of_level else description
+                rows.append(_row(constant, of_unit, draws[mask], note))
     return rows
 
 
@@ -146,7 +148,7 @@ def law_views(run: Run) -> tuple[LawView, ...]:
     # farther below the tests a prediction is refused, but where it is asked for expressly
     lowest = min((level for level in levels if level > 0.0), default=0.0) / FAR
     grid = np.union1d(np.linspace(lowest, 1.15 * max(levels), 60), levels)
-    drawn, views = _law_draws(run, grid), []
+    draws, views = _law_draws(run, grid), []
     scores = law_score_rows(run.manifest.law_scores, run.manifest.settings.laws)
     for name, law in population.design.laws.items():
         starts = np.any(population.ratio(name, grid) > 0.0, axis=(0, 1))  # not at zero
@@ -161,11 +163,13 @@ def law_views(run: Run) -> tuple[LawView, ...]:
                     tuple(row for row in scores if row["quantity"] == name),
                 ),
                 actuation=grid,
-                device=fan_of("mean", starts * drawn["mean"][name]),
-                new_test=fan_of("new_test", starts * drawn["new_test"][name]),
+                device=fan_of("mean", starts * draws["mean"][name]),
+                new_test=fan_of("new_test", starts * draws["new_test"][name]),
                 tested=tuple(
-                    (test.id, at, low, middle, high)
-                    for test, at, (middle, low, high) in zip(tests, levels, bounds, strict=True)
+                    (test.id, actuation, low, middle, high)
+                    for test, actuation, (middle, low, high) in zip(
+                        tests, levels, bounds, strict=True
+                    )
                 ),
             )
         )
@@ -179,30 +183,32 @@ def _law_draws(run: Run, grid: Array) -> dict[str, dict[str, Array]]:
     """
     population, sessions, rng = run.population, sessions_of(run), np.random.default_rng(0)
     names, kinds = population.design.laws, ("mean", "new_test")
-    parts: dict[str, dict[str, list[Array]]] = {kind: {n: [] for n in names} for kind in kinds}
+    session_draws: dict[str, dict[str, list[Array]]] = {
+        kind: {n: [] for n in names} for kind in kinds
+    }
     for session in sessions:
         n = DRAWS // len(sessions)
         index = population.draw_index(n, float(grid[-1]), rng)
-        inside = np.where(index < population.size, index, index % population.size)
+        inner_index = np.where(index < population.size, index, index % population.size)
         numbers = population.draw_numbers(n, grid.size, rng)
-        within, beyond = (
-            population.level_effects(chosen, session, grid, numbers.level)
-            for chosen in (inside, index)
+        inner_effects, outer_effects = (
+            population.level_effects(rows, session, grid, numbers.level)
+            for rows in (inner_index, index)
         )
         values: dict[str, list[dict[str, Any]]] = {kind: [] for kind in kinds}
         for p in grid.tolist():
-            setting = Setting(p, session, dict(population.design.covariates))
+            setting = TestConditions(p, session, dict(population.design.covariates))
             tested = population.within_levels(p)
-            chosen, effects = (inside, within) if tested else (index, beyond)
-            mean, scatter = population.parts(setting, chosen, numbers, effects)
+            rows, effects = (inner_index, inner_effects) if tested else (index, outer_effects)
+            mean, scatter = population.parts(setting, rows, numbers, effects)
             values["mean"].append(population.values(mean))
             values["new_test"].append(population.values(mean + scatter))
         for kind, at_levels in values.items():
             for name in names:
-                parts[kind][name].append(np.stack([of[name] for of in at_levels], axis=1))
+                session_draws[kind][name].append(np.stack([of[name] for of in at_levels], axis=1))
     return {
         kind: {name: np.concatenate(several) for name, several in of.items()}
-        for kind, of in parts.items()
+        for kind, of in session_draws.items()
     }
 
 
@@ -217,10 +223,10 @@ def law_score_rows(scores: Sequence[LawScore], laws: Mapping[str, str]) -> Rows:
     """
     rows = []
     for name in dict.fromkeys(score.quantity for score in scores):
-        own = [score for score in scores if score.quantity == name]
-        own.sort(key=lambda score: (not score.trusted, -score.elpd))
-        for score in own:
-            apart = np.array(score.levels) - np.array(own[0].levels)
+        quantity_scores = [score for score in scores if score.quantity == name]
+        quantity_scores.sort(key=lambda score: (not score.trusted, -score.elpd))
+        for score in quantity_scores:
+            differences = np.array(score.levels) - np.array(quantity_scores[0].levels)
             rows.append(
                 {
                     "quantity": name,
@@ -228,8 +234,8 @@ def law_score_rows(scores: Sequence[LawScore], laws: Mapping[str, str]) -> Rows:
                     "chosen": score.law == laws.get(name, ""),
                     "elpd": score.elpd,
                     "elpd_se": score.se,
-                    "difference": float(apart.sum()),
-                    "difference_se": float(np.sqrt(apart.size) * apart.std(ddof=1)),
+                    "difference": float(differences.sum()),
+                    "difference_se": float(np.sqrt(differences.size) * differences.std(ddof=1)),
                     "weight": score.weight,
                     "pareto_k": score.pareto_k,
                     "levels": len(score.levels),
@@ -241,11 +247,11 @@ def law_score_rows(scores: Sequence[LawScore], laws: Mapping[str, str]) -> Rows:
 def law_choices(rows: Rows, laws: Mapping[str, str]) -> dict[str, str]:
     """Which law predicts each quantity best, and which others are within the standard error."""
     names = dict.fromkeys(row["quantity"] for row in rows)
-    own = {name: [row for row in rows if row["quantity"] == name] for name in names}
-    return {name: _sentence(some, laws.get(name)) for name, some in own.items()}
+    groups = {name: [row for row in rows if row["quantity"] == name] for name in names}
+    return {name: _sentence(group, laws.get(name)) for name, group in groups.items()}
 
 
-def _sentence(rows: Sequence[Row], chosen: str | None) -> str:
+def _sentence(rows: Sequence[Row], campaign_law: str | None) -> str:
     unreliable = [row for row in rows if row["pareto_k"] > LARGEST_K]
     trusted = [row for row in rows if row not in unreliable]
     caveat = ""
@@ -254,21 +260,21 @@ def _sentence(rows: Sequence[Row], chosen: str | None) -> str:
         caveat = f"; the score of {' and '.join(names)} cannot be trusted, so it gets no weight"
     if not trusted:
         return f"the laws have no weights{caveat}."
-    best, *others = trusted
+    best, *alternatives = trusted
     text = f"the {best['law']} law predicts levels that were left out best"
-    near = [row["law"] for row in others if -row["difference"] <= row["difference_se"]]
-    if near:
+    ties = [row["law"] for row in alternatives if -row["difference"] <= row["difference_se"]]
+    if ties:
         text += (
-            f", but the {best['levels']} levels cannot separate it from {' or '.join(near)}: the "
+            f", but the {best['levels']} levels cannot separate it from {' or '.join(ties)}: the "
             "difference is within its standard error"
         )
-    own = next((row for row in others if row["chosen"] and row["law"] not in near), None)
-    if own:
+    entry = next((row for row in alternatives if row["chosen"] and row["law"] not in ties), None)
+    if entry:
         text += (
-            f"; the campaign's own, {own['law']}, is worse by {-own['difference']:.1f} ± "
-            f"{own['difference_se']:.1f}"
+            f"; the campaign's own, {entry['law']}, is worse by {-entry['difference']:.1f} ± "
+            f"{entry['difference_se']:.1f}"
         )
-    elif chosen == COMPARE:
+    elif campaign_law == COMPARE:
         weights = {row["law"]: row["weight"] for row in trusted}
         text += f"; predictions mix them ({law_label(COMPARE, weights)})"
     return f"{text}{caveat}."
@@ -282,11 +288,11 @@ def law_label(law: str, weights: Mapping[str, float], scores: Rows = ()) -> str:
     """
     if law != COMPARE:
         trusted = [row for row in scores if not row["pareto_k"] > LARGEST_K]
-        near = [r["law"] for r in trusted if -r["difference"] <= r["difference_se"]]
+        ties = [r["law"] for r in trusted if -r["difference"] <= r["difference_se"]]
         best = next((row["law"] for row in trusted), law)
-        return law if law in (best, *near) else f"{law}, the campaign's; {best} predicts best"
-    held = sorted(((name, w) for name, w in weights.items() if w > 0), key=lambda it: -it[1])
-    mixed = ", ".join(f"{name} {weight:.2g}" for name, weight in held)
+        return law if law in (best, *ties) else f"{law}, the campaign's; {best} predicts best"
+    ranking = sorted(((name, w) for name, w in weights.items() if w > 0), key=lambda it: -it[1])
+    mixed = ", ".join(f"{name} {weight:.2g}" for name, weight in ranking)
     return f"compared: {mixed}"
 
 
@@ -300,12 +306,12 @@ AHEAD = 10.0  # years, or spans of cycles or temperatures, after the last test t
 
 def drift_rows(run: Run) -> tuple[DriftRow, ...]:
     """Change of each quantity that follows a date, a count of cycles or a temperature."""
-    given, design = run.manifest.settings.limits, run.population.design
+    limits, design = run.manifest.settings.limits, run.population.design
     rows = []
-    for name, those in design.dependence.items():
+    for name, conditions in design.dependence.items():
         kind = "gap" if name in ("d2", "gap") else "slip"
-        limit = given.get(kind) or given.get("all") or DEFAULT_LIMITS["all"]
-        for condition in those:
+        limit = limits.get(kind) or limits.get("all") or DEFAULT_LIMITS["all"]
+        for condition in conditions:
             if condition in CONDITIONS:
                 draws = run.population.dependences[f"{name}_{condition}"].reshape(-1)
                 values = np.array([s.covariates[condition] for s in design.settings])
@@ -316,21 +322,23 @@ def drift_rows(run: Run) -> tuple[DriftRow, ...]:
 def drift_row(quantity: str, condition: str, draws: Array, values: Array, limit: float) -> DriftRow:
     """Row of draws (n,) of the change of a logarithm over the span of the tests' values (J,)."""
     step, per = UNITS[condition]
-    span, first = float(np.ptp(values)) or 1.0, float(values.min())
+    span, lowest = float(np.ptp(values)) or 1.0, float(values.min())
     slope = draws / span
     change = 100.0 * np.expm1(slope * step)
     lower, middle, upper = np.quantile(change, [0.025, 0.5, 0.975]).tolist()
     room = np.where(slope > 0.0, np.log1p(limit), -np.log1p(-limit))
     with np.errstate(divide="ignore"):
-        leaving = first + room / np.abs(slope)
-    last = float(values.max())
-    end = last + AHEAD * (1.0 if condition == "date" else span)
-    whens = [_shown(condition, at, end) for at in np.quantile(leaving, [0.5, 0.05, 0.95])]
+        leaving = lowest + room / np.abs(slope)
+    highest = float(values.max())
+    end = highest + AHEAD * (1.0 if condition == "date" else span)
+    whens = [
+        _shown(condition, quantile, end) for quantile in np.quantile(leaving, [0.5, 0.05, 0.95])
+    ]
     return DriftRow(
         *(quantity, condition, per, middle, lower, upper),
         float(np.mean(np.sign(slope) == np.sign(middle))),
         100.0 * limit,
-        float(np.mean(leaving <= last)),
+        float(np.mean(leaving <= highest)),
         float(np.mean(leaving <= end)),
         *whens,
     )

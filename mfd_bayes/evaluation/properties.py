@@ -74,9 +74,9 @@ def measured_of(manifest: Manifest, name: str) -> MeasuredCycles:
 
 def measured_properties(cycles: MeasuredCycles) -> dict[str, float]:
     """Measured value of each property: `MeasuredCycles.of_test`, and energies of all."""
-    own, ramps = cycles.of_test(), cycles.energy[~cycles.full_stroke]
-    return {name: own[name] for name in (*_OF_CYCLES, "peak_fwd", "peak_bwd")} | {
-        "energy_per_cycle": own["energy"],
+    estimates, ramps = cycles.of_test(), cycles.energy[~cycles.full_stroke]
+    return {name: estimates[name] for name in (*_OF_CYCLES, "peak_fwd", "peak_bwd")} | {
+        "energy_per_cycle": estimates["energy"],
         "energy_of_ramps": float(ramps.mean()) if ramps.size else float("nan"),
         "energy_in_all": cycles.total_energy,
     }
@@ -133,9 +133,9 @@ def of_parameters(
 
 def device_properties(run: Run, trace: Trace, band: Band, test: Band) -> dict[str, Array]:
     """Properties of a band's draws; `test` has the same motion without noise, for its peaks."""
-    drawn = properties_of(trace, band.draws, run.peaks, smooth=without_noise(band, test))
+    draws = properties_of(trace, band.draws, run.peaks, smooth=without_noise(band, test))
     model, level = run.predictor.model, trace.reference_actuation
-    return drawn | of_parameters(model, band.values, level, run.manifest.settings)
+    return draws | of_parameters(model, band.values, level, run.manifest.settings)
 
 
 def predicted_rows(
@@ -143,41 +143,43 @@ def predicted_rows(
     trace: Trace,
     band: Band,
     record: Record | None = None,
-    after: str = "",
-    given: Trace | None = None,
+    previous: str = "",
+    given_trace: Trace | None = None,
     device: str = "",
     session: str = "",
 ) -> Rows:
     """Properties of a prediction, with intervals of the band's probability.
 
     Those of a band of kind "observation" have offset and noise, as a measured record has them. The
-    measured values of a `record` stand beside them. `after` is the test that the motion follows
-    without a reset, `given` the trace with the force of the part that was given, `device` and
+    measured values of a `record` stand beside them. `previous` is the test that the motion follows
+    without a reset, `given_trace` the trace with the force of the part that was given, `device` and
     `session` those that were predicted.
     """
     test = band
     if band.kind == "observation":
         window = band.given.window if band.given else None
-        how: dict[str, Any] = {"given": window, "after": after, "draws": len(band.draws)}
+        how: dict[str, Any] = {"given": window, "after": previous, "draws": len(band.draws)}
         how |= {"session": session} | ({"device": device} if device else {})
-        test = source.predict(given or trace, "new_test", band.probability, **how)
+        test = source.predict(given_trace or trace, "new_test", band.probability, **how)
     if isinstance(source, ModelAverage):
-        first, n = source.runs[0], len(source.runs)
+        first_run, n = source.runs[0], len(source.runs)
         forces = (np.array_split(of.draws, n) for of in (band, test))  # of one run after another
-        parts = [
+        run_draws = [
             properties_of(trace, force, run.peaks, smooth=smooth)
             for run, force, smooth in zip(source.runs, *forces, strict=True)
         ]
-        drawn = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        draws = {
+            name: np.concatenate([values[name] for values in run_draws]) for name in run_draws[0]
+        }
     else:
-        first, drawn = source, device_properties(source, trace, band, test)
+        first_run, draws = source, device_properties(source, trace, band, test)
     cycles = None if record is None else measured_cycles(record.trace())
     measured = {} if cycles is None else measured_properties(cycles)
-    drawn = kept(drawn, first.system.axes)
-    return property_rows("", band.kind, trace, drawn, measured, band.probability)
+    draws = applicable(draws, first_run.system.axes)
+    return property_rows("", band.kind, trace, draws, measured, band.probability)
 
 
-def kept(properties: Mapping[str, Array], axes: Axes) -> dict[str, Array]:
+def applicable(properties: Mapping[str, Array], axes: Axes) -> dict[str, Array]:
     """Those of the properties that make sense for a model's motion and response."""
     return {name: values for name, values in properties.items() if axes.has(name)}
 
@@ -186,7 +188,7 @@ def property_rows(
     test: str,
     role: str,
     trace: Trace,
-    drawn: Mapping[str, Array],
+    draws: Mapping[str, Array],
     measured: Mapping[str, float],
     probability: float = 0.95,
 ) -> Rows:
@@ -198,21 +200,21 @@ def property_rows(
     strong, ramps = int(np.count_nonzero(full)), int(np.count_nonzero(~full))
     rows = []
     for name, unit in UNITS.items():
-        if name not in drawn or (name == "energy_of_ramps" and not ramps):
+        if name not in draws or (name == "energy_of_ramps" and not ramps):
             continue
-        if not np.any(np.isfinite(drawn[name])):  # the motion does not have it
+        if not np.any(np.isfinite(draws[name])):  # the motion does not have it
             continue
         note = ""
         if name in _MEANS:
             of_ramps = name == "energy_of_ramps"
-            which, count = ("of smaller", ramps) if of_ramps else ("at full", strong)
+            extent, count = ("of smaller", ramps) if of_ramps else ("at full", strong)
             cycles = f"{count} full cycle{'' if count == 1 else 's'}"
-            note = f"over {cycles} {which} stroke" if count else "the motion has no full cycle"
+            note = f"over {cycles} {extent} stroke" if count else "the motion has no full cycle"
         value = measured.get(name, float("nan"))
         rows.append(
             {"test": test, "role": role, "name": name, "unit": unit}
-            | spread_of(drawn[name], tail)
-            | {"measured": value, "note": note, "missed": is_missed(drawn[name], value, name)}
+            | spread_of(draws[name], tail)
+            | {"measured": value, "note": note, "missed": is_missed(draws[name], value, name)}
         )
     return tuple(rows)
 
@@ -223,8 +225,8 @@ def is_missed(values: Array, measured: float, name: str) -> bool:
     finite = values[np.isfinite(values)]
     if not finite.size or not np.isfinite(measured):
         return False
-    beyond = abs(float(np.median(finite)) - measured) > tolerance * abs(measured)
-    return beyond and not EXTREME <= share_above(finite, measured) <= 1.0 - EXTREME
+    exceeds = abs(float(np.median(finite)) - measured) > tolerance * abs(measured)
+    return exceeds and not EXTREME <= share_above(finite, measured) <= 1.0 - EXTREME
 
 
 def share_above(values: Array, measured: float) -> float:

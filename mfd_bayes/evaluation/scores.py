@@ -32,7 +32,7 @@ class Interval:
 
 
 @dataclass(frozen=True, eq=False)
-class Fan:
+class QuantileBand:
     """A median, (T,), and its bands, the widest last; `kind` is in `KIND_NAMES`, or "prior"."""
 
     kind: str
@@ -44,10 +44,12 @@ class Fan:
         """The band of the largest probability."""
         return max(self.intervals, key=lambda interval: interval.probability)
 
-    def times(self, by: float) -> Fan:
+    def times(self, factor: float) -> QuantileBand:
         """The fan times a factor."""
-        scaled = (replace(i, lower=i.lower * by, upper=i.upper * by) for i in self.intervals)
-        return Fan(self.kind, self.median * by, tuple(scaled))
+        scaled = (
+            replace(i, lower=i.lower * factor, upper=i.upper * factor) for i in self.intervals
+        )
+        return QuantileBand(self.kind, self.median * factor, tuple(scaled))
 
 
 # --- bands and their scores
@@ -55,22 +57,22 @@ class Fan:
 PROBABILITIES = (0.5, 0.95)  # probabilities of the equal-tailed bands in figures
 
 
-def fan_of(kind: str, draws: Array) -> Fan:
+def fan_of(kind: str, draws: Array) -> QuantileBand:
     """Median and bands of draws (n, T)."""
     tails = [0.5 * (1.0 - p) for p in PROBABILITIES]
     levels = [0.5, *tails, *(1.0 - t for t in tails)]
     median, *bounds = np.quantile(draws, levels, axis=0)
     n = len(tails)
     intervals = (Interval(p, bounds[i], bounds[n + i]) for i, p in enumerate(PROBABILITIES))
-    return Fan(kind, median, tuple(intervals))
+    return QuantileBand(kind, median, tuple(intervals))
 
 
-def fan_of_band(band: Band) -> Fan:
+def fan_of_band(band: Band) -> QuantileBand:
     """Median and bounds of a prediction, with those of the whole history if it has them."""
     intervals = [Interval(band.probability, band.lower, band.upper)]
     if band.shows_whole:
         intervals.append(Interval(band.probability, *band.whole, whole=True))
-    return Fan(band.kind, band.median, tuple(intervals))
+    return QuantileBand(band.kind, band.median, tuple(intervals))
 
 
 def spread_of(draws: Array, tail: float = 0.025) -> dict[str, float]:
@@ -89,8 +91,8 @@ def score(draws: Array, observed: Array) -> Score:
         lower, upper = np.quantile(draws, [tail, 1.0 - tail], axis=0)
         coverage.append(float(np.mean((observed >= lower) & (observed <= upper))))
         width = float(np.mean(upper - lower))
-        beyond = np.maximum(lower - observed, 0.0) + np.maximum(observed - upper, 0.0)
-        interval = width + float(np.mean(beyond)) / tail
+        excess = np.maximum(lower - observed, 0.0) + np.maximum(observed - upper, 0.0)
+        interval = width + float(np.mean(excess)) / tail
     return Score(
         coverage=tuple(coverage),
         width=width,
@@ -102,11 +104,11 @@ def score(draws: Array, observed: Array) -> Score:
 
 def score_record(scores: Score) -> Row:
     """Scores as they stand in tables."""
-    half, most, nearly = scores.coverage
+    cover_50, cover_90, cover_95 = scores.coverage
     return {
-        "coverage_50": half,
-        "coverage_90": most,
-        "coverage_95": nearly,
+        "coverage_50": cover_50,
+        "coverage_90": cover_90,
+        "coverage_95": cover_95,
         "width_95": scores.width,
         "interval_score": scores.interval_score,
         "crps": scores.crps,

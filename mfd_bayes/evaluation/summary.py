@@ -33,8 +33,8 @@ from mfd_bayes.evaluation.checks import (
 )
 from mfd_bayes.evaluation.laws import drift_rows, law_choices, law_rows, law_score_rows, law_views
 from mfd_bayes.evaluation.properties import (
+    applicable,
     device_properties,
-    kept,
     measured_of,
     measured_properties,
     of_parameters,
@@ -63,11 +63,11 @@ from mfd_bayes.evaluation.views import (
 )
 from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.messages import Message, join
-from mfd_bayes.population.bands import Forecast
+from mfd_bayes.population.bands import PredictionOptions
 from mfd_bayes.population.design import Design
 from mfd_bayes.population.peaks import SIDES
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.manifest import CampaignCrossValidation, Finding, Manifest, Use, Verdict
+from mfd_bayes.runs.manifest import CampaignCrossValidation, CheckStatus, Finding, Fitness, Manifest
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.unit_system import SI, both_systems
 
@@ -97,7 +97,7 @@ def assess(run: Run, jobs: int = 1) -> CampaignView:
         *convergence_checks("population", table, manifest.effort),
         *exponent_checks(manifest.free_exponents),
         *scatter_checks(run),
-        *(Check(*key, 0.0, 1.0, Verdict.FAIL) for key in missing),
+        *(Check(*key, 0.0, 1.0, CheckStatus.FAIL) for key in missing),
     )
     warnings = (
         *(warning for warning in manifest.warnings if warning.stage == "records"),
@@ -107,8 +107,8 @@ def assess(run: Run, jobs: int = 1) -> CampaignView:
     )
     judged = judge([*run.tests, *failures], checks, warnings)
     left_out = (
-        Message("Test {test} is left out of the report: {why}.", {"test": name, "why": why})
-        for name, why in lost.items()
+        Message("Test {test} is left out of the report: {why}.", {"test": name, "why": reason})
+        for name, reason in lost.items()
     )
     scores = law_score_rows(manifest.law_scores, manifest.settings.laws)
     return CampaignView(
@@ -149,24 +149,24 @@ def views_of_tests(run: Run, jobs: int = 1) -> tuple[list[TestView], dict[str, s
     # each test is sent by itself: the records of all need not be held in every process
     tests = enumerate(replace(test, extras=None) for test in run.tests.values())
     with several_processes(views, jobs) as evaluate:
-        made = dict(zip(run.tests, evaluate(tests), strict=True))
+        outcomes = dict(zip(run.tests, evaluate(tests), strict=True))
     for name, trace in run.held_out.items():
-        made[name] = _attempt(partial(held_out_view, run, name), trace)
-    shown, lost = [], {}
-    for name in (name for name in run.manifest.tests if name in made):
-        view = made[name]
+        outcomes[name] = _attempt(partial(held_out_view, run, name), trace)
+    test_views, lost = [], {}
+    for name in (name for name in run.manifest.tests if name in outcomes):
+        view = outcomes[name]
         if isinstance(view, TestView):
-            shown.append(with_joint(run, view))
+            test_views.append(with_joint(run, view))
         else:
             lost[name] = str(view)
-    return shown, lost
+    return test_views, lost
 
 
-def _attempt(make: Callable[[Any], TestView], given: Any) -> TestView | MfdError:
+def _attempt(make: Callable[[Any], TestView], argument: Any) -> TestView | MfdError:
     """A view, or why it cannot be made; a stored file that cannot be used is no fault of a test."""
     try:
         with np.errstate(all="ignore"):  # what is not finite is refused by name
-            return make(given)
+            return make(argument)
     except StoreError:
         raise
     except MfdError as error:
@@ -179,8 +179,8 @@ def verdicts(view: CampaignView) -> dict[str, str]:
     uses = {name: use_of((), [c for c in view.checks if c.test == name]) for name in names}
     uses |= {judged.subject: judged.use for judged in view.judgements}
     sentence = join(view.sentences, " ").to_text(view.system)
-    whole = {"campaign": view.verdict, "sentence": sentence}
-    return whole | uses | whole  # tests may have these names too
+    summary = {"campaign": view.verdict, "sentence": sentence}
+    return summary | uses | summary  # tests may have these names too
 
 
 def _truth_rows(manifest: Manifest, tests: list[TestView], table: Rows) -> Rows:
@@ -219,7 +219,7 @@ def _provenance(manifest: Manifest) -> dict[str, str]:
     }
     for number, machine in enumerate(manifest.machines):
         name = f"machine {number + 1}" if number else "machine"
-        facts[name] = ", ".join(f"{part} {words}" for part, words in machine.items())
+        facts[name] = ", ".join(f"{component} {words}" for component, words in machine.items())
     return facts | {f"SHA-256 of {name}": digest for name, digest in manifest.inputs.items()}
 
 
@@ -235,9 +235,9 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
     posterior, stored, trace = test.posterior, test.stored, test.trace
     values, facts, settings = stored.values(), stored.facts, manifest.settings
     replicas = replicate(posterior, values, np.random.default_rng(0))
-    drawn = posterior.draw_prior(np.random.default_rng(0), 2000)
-    theta = posterior.theta(drawn)
-    prior = drawn | dict(zip(posterior.model.parameters, theta.T, strict=True))
+    prior_draws = posterior.draw_prior(np.random.default_rng(0), 2000)
+    theta = posterior.theta(prior_draws)
+    prior = prior_draws | dict(zip(posterior.model.parameters, theta.T, strict=True))
     rows = _parameters(test, values, prior, facts["convergence"])
     draws = {name: stored.draws[name].to_numpy() for name in posterior.names}
     identifiability = identify(posterior, draws, prior)
@@ -245,19 +245,19 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
     properties = properties_of(trace, replicas.observed, smooth=replicas.force)
     for side, sign in SIDES.items():
         filtered = float(np.max(sign * np.asarray(trace.force)))
-        taken = max(getattr(measured, f"largest_{side}") - filtered, 0.0)
-        properties[f"peak_{side}"] = properties[f"peak_{side}"] + taken
+        filter_loss = max(getattr(measured, f"largest_{side}") - filtered, 0.0)
+        properties[f"peak_{side}"] = properties[f"peak_{side}"] + filter_loss
     scores = _score(test.id, "calibrate", trace, replicas.observed, posterior.first)
     arguments = test.id, posterior, replicas, measured, properties, settings.tolerances
     predictive = checks.predictive_checks(*arguments)
     level = trace.reference_actuation
     derived = properties | of_parameters(posterior.model, replicas.values, level, settings)
-    derived = kept(derived, manifest.axes)
+    derived = applicable(derived, manifest.axes)
     by_name = {row["name"]: row for row in rows}
     informed = {name for name, row in by_name.items() if row["contraction"] >= INFORMED}
     medians = {name: np.atleast_1d(np.median(draws)) for name, draws in values.items()}
-    at = posterior.theta(medians), trace, medians.get("start")
-    stage = posterior.model.stages(*at)
+    inputs = posterior.theta(medians), trace, medians.get("start")
+    stage = posterior.model.stages(*inputs)
     return TestView(
         id=test.id,
         role="calibrate",
@@ -294,34 +294,36 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
         noises=noise_rows(test.id, posterior, values, facts),
         modes=_modes(facts),
         stage=None if stage is None else stage[0],
-        travel=None if stage is None else posterior.model.travel(*at)[0],
+        travel=None if stage is None else posterior.model.travel(*inputs)[0],
     )
 
 
 def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     """A test that was predicted from the others."""
     how: dict[str, Any] = {"draws": HELD_OUT_DRAWS, **run.place(name)}
-    before = run.sequence.before(name, trace, Forecast(**how))
-    how["after"] = before or ""
-    seen = run.predict(trace, "observation", **how)
-    drawn = device_properties(run, trace, seen, run.predict(trace, "new_test", **how))
+    ending = run.sequence.before(name, trace, PredictionOptions(**how))
+    how["after"] = ending or ""
+    band = run.predict(trace, "observation", **how)
+    properties = device_properties(run, trace, band, run.predict(trace, "new_test", **how))
     measured = measured_properties(measured_of(run.manifest, name))
     return TestView(
         id=name,
         role="validate",
         trace=trace,
         first=0,
-        observation=fan_of("observation", seen.draws),
-        score=_score(name, "validate", trace, seen.draws, 0),
-        derived=property_rows(name, "validate", trace, kept(drawn, run.manifest.axes), measured),
-        shares=seen.shares,
-        begun=before.words if before else "",
+        observation=fan_of("observation", band.draws),
+        score=_score(name, "validate", trace, band.draws, 0),
+        derived=property_rows(
+            name, "validate", trace, applicable(properties, run.manifest.axes), measured
+        ),
+        shares=band.variance_shares,
+        begun=ending.words if ending else "",
     )
 
 
-def _score(name: str, role: str, trace: Trace, draws: Array, first: int) -> Row:
-    """Scores of force draws (n, T) against the force of a record, from sample `first` on."""
-    scores = score(draws[:, first:], np.asarray(trace.force)[first:])
+def _score(name: str, role: str, trace: Trace, draws: Array, start_index: int) -> Row:
+    """Scores of force draws (n, T) against the force of a record, from sample `start_index` on."""
+    scores = score(draws[:, start_index:], np.asarray(trace.force)[start_index:])
     return {"test": name, "role": role} | score_record(scores)
 
 
@@ -336,8 +338,8 @@ def _parameters(
     for name, draws in values.items():
         shrunk, scale_only = float("nan"), name in checks.SCALE_ONLY
         if not scale_only and np.ptp(prior[name]) > 0:  # what is fixed has no spread
-            before, after = log_if_positive(prior[name], draws)
-            shrunk = float(contraction(np.array([before.std()]), after[:, None])[0])
+            prior_draws, posterior_draws = log_if_positive(prior[name], draws)
+            shrunk = float(contraction(np.array([prior_draws.std()]), posterior_draws[:, None])[0])
         note = checks.SCALE_NOTE if scale_only else ""
         r_hat, bulk, tail = convergence.get(name, (np.nan, np.nan, np.nan))
         rows.append(
@@ -373,20 +375,22 @@ def with_joint(run: Run, view: TestView) -> TestView:
             rows.append(row)
             continue
         low, middle, high = np.quantile(draws, [0.025, 0.5, 0.975]).tolist()
-        apart = name in (*model.parameters, "ell") and (low > row["upper"] or high < row["lower"])
+        is_disjoint = name in (*model.parameters, "ell") and (
+            low > row["upper"] or high < row["lower"]
+        )
         together = {"joint_lower": low, "joint_median": middle, "joint_upper": high}
-        rows.append(row | together | {"joint_conflict": bool(apart)})
+        rows.append(row | together | {"joint_conflict": bool(is_disjoint)})
     return replace(view, rows=tuple(rows))
 
 
 def _modes(facts: Mapping[str, Any]) -> tuple[Mapping[str, float], ...]:
     """Medians and share of each mode with draws, the largest first; empty with one mode."""
     shares = np.atleast_2d(facts.get("mode_shares", [[]])).mean(axis=0)
-    kept = [k for k in np.argsort(-shares).tolist() if shares[k] >= checks.SMALLEST_MODE]
+    modes = [k for k in np.argsort(-shares).tolist() if shares[k] >= checks.SMALLEST_MODE]
     values = facts.get("mode_values", [])
-    if len(kept) < 2 or len(values) != len(shares):
+    if len(modes) < 2 or len(values) != len(shares):
         return ()
-    return tuple({**values[k], "share": float(shares[k])} for k in kept)
+    return tuple({**values[k], "share": float(shares[k])} for k in modes)
 
 
 def _some(draws: Array) -> Array:
@@ -404,19 +408,21 @@ def noise_rows(
     fits = [fit for fit in facts.get("other_noises", ()) if fit["quantities"]]
     if not fits:
         return ()
-    own, kinds = quantiles_of(posterior, values), {"gap": "in"} | units(posterior.model)
-    first = (*posterior.model.slip_forces, *_FIRST)
-    ordered = sorted(own, key=lambda name: first.index(name) if name in first else len(first))
+    intervals, kinds = quantiles_of(posterior, values), {"gap": "in"} | units(posterior.model)
+    priority = (*posterior.model.slip_forces, *_FIRST)
+    ordered = sorted(
+        intervals, key=lambda name: priority.index(name) if name in priority else len(priority)
+    )
     keys = ("lower", "median", "upper")
     return tuple(
         {"test": test, "name": name, "unit": kinds[name], "noise": posterior.noise.name}
-        | dict(zip(keys, own[name], strict=True))
+        | dict(zip(keys, intervals[name], strict=True))
         | {"other": fit["noise"]}
-        | {f"other_{key}": value for key, value in zip(keys, other, strict=True)}
-        | {"noise_sensitive": moves(own[name], other)}
+        | {f"other_{key}": value for key, value in zip(keys, alternative, strict=True)}
+        | {"noise_sensitive": moves(intervals[name], alternative)}
         for fit in fits
         for name in ordered
-        if None not in (other := fit["quantities"].get(name, [None]))
+        if None not in (alternative := fit["quantities"].get(name, [None]))
     )
 
 
@@ -462,7 +468,7 @@ def judge(
 
 def _judge(test: str, checks: Sequence[Check], findings: Sequence[Finding]) -> Judgement:
     of_fit = [c for c in checks if c.check in (PREDICTIVE, COVERAGE)]
-    missed = [c for c in of_fit if c.status in (Verdict.WARNING, Verdict.FAIL)]
+    missed = [c for c in of_fit if c.status in (CheckStatus.WARNING, CheckStatus.FAIL)]
     missed.sort(key=lambda check: -misfit_of(check))
     reasons: list[tuple[float, Message]] = []
     for number, finding in enumerate(sorted(findings, key=lambda f: not f.spoils)):
@@ -475,15 +481,17 @@ def _judge(test: str, checks: Sequence[Check], findings: Sequence[Finding]) -> J
     counted = bool(missed) and not spoiled
     if counted:
         reasons.append((misfit_of(missed[0]), _miss(missed)))
-    failed = {c.check for c in checks if c.status == Verdict.FAIL}
+    failed = {c.check for c in checks if c.status == CheckStatus.FAIL}
     wrong = spoiled or bool(failed - set(SAMPLING))
-    use = Use.NOT_USABLE if wrong or failed else Use.WITH_CARE if reasons else Use.USABLE
+    use = (
+        Fitness.NOT_USABLE if wrong or failed else Fitness.WITH_CARE if reasons else Fitness.USABLE
+    )
     reasons.sort(key=lambda reason: -reason[0])
-    least = max(map(misfit_of, of_fit), default=0.0)
-    misfit = sum(size for size, _ in reasons) if reasons else min(least, 1.0)
+    worst_misfit = max(map(misfit_of, of_fit), default=0.0)
+    misfit = sum(size for size, _ in reasons) if reasons else min(worst_misfit, 1.0)
     if reasons and not counted:  # else the worst misfit is one of the reasons
-        misfit += least
-    notes = tuple(_of_modes(c) for c in checks if c.check == MODES and c.status == Verdict.NOTE)
+        misfit += worst_misfit
+    notes = tuple(_of_modes(c) for c in checks if c.check == MODES and c.status == CheckStatus.NOTE)
     return Judgement(test, use, tuple(message for _, message in reasons), misfit, wrong, notes)
 
 
@@ -500,34 +508,34 @@ def _of_sampler(checks: Sequence[Check]) -> Iterator[tuple[float, Message]]:
         yield _LOST, Message("it could not be calibrated")
     if REPORT in names:
         yield _LOST, Message("it could not be shown in the report")
-    short = [c for c in checks if c.check in SAMPLING and c.status == Verdict.FAIL]
+    short = [c for c in checks if c.check in SAMPLING and c.status == CheckStatus.FAIL]
     if short:
-        more = f" and {len(short) - 1} more" if short[1:] else ""
-        first = f"{short[0].check} of {short[0].feature}{more}"
+        suffix = f" and {len(short) - 1} more" if short[1:] else ""
+        shortfall = f"{short[0].check} of {short[0].feature}{suffix}"
         text = "the sampling did not reach its targets ({first})"
-        yield _UNREACHED, Message(text, {"first": first})
+        yield _UNREACHED, Message(text, {"first": shortfall})
     for check in checks:
-        if check.check == MODES and check.status == Verdict.WARNING:
+        if check.check == MODES and check.status == CheckStatus.WARNING:
             yield MILD, _of_modes(check)
 
 
 def _of_modes(check: Check) -> Message:
-    held = check.feature.removeprefix("posterior")
+    shares = check.feature.removeprefix("posterior")
     text = f"{check.observed:.0f} different sets of parameters explain it{{held}}"
-    return Message(text, {"held": held})
+    return Message(text, {"held": shares})
 
 
 def _of_slip(checks: Sequence[Check]) -> Iterator[tuple[float, Message]]:
     """Slip forces that are far from the measured ones, and whether the band is usable."""
-    far = [c for c in checks if c.check == LOOP_ESTIMATE and c.status == Verdict.FAIL]
+    far = [c for c in checks if c.check == LOOP_ESTIMATE and c.status == CheckStatus.FAIL]
     if not far:
         return
     bands = [c for c in checks if c.check == COVERAGE]
-    holds = bands and all(c.status in (Verdict.PASS, Verdict.NOTE) for c in bands)
+    holds = bands and all(c.status in (CheckStatus.PASS, CheckStatus.NOTE) for c in bands)
     use = "its band is usable, its parameters are not" if holds else "do not use its parameters"
-    why = Message(f"{use}: a slip force is not the measured one, the noise stands in for it")
-    parts = (Message("{feature} {expected}, measured {observed}", c.message.values) for c in far)
-    yield _UNLIKE, join([why, join(parts, ", ")], ": ")
+    advice = Message(f"{use}: a slip force is not the measured one, the noise stands in for it")
+    details = (Message("{feature} {expected}, measured {observed}", c.message.values) for c in far)
+    yield _UNLIKE, join([advice, join(details, ", ")], ": ")
 
 
 def _miss(missed: Sequence[Check]) -> Message:
@@ -536,61 +544,65 @@ def _miss(missed: Sequence[Check]) -> Message:
     cause = next((text for name, text in _HINTS.items() if worst.feature.startswith(name)), "")
     if worst.feature.startswith("energy") and worst.observed < 0.0:
         cause = "the sign of the force or of the displacement is probably swapped"
-    more = f"; {len(missed) - 1} more" if missed[1:] else ""
-    sizes = f" ({abs(worst.difference):.0%} off, tolerance {worst.tolerance:.0%}): {cause}{more}"
+    suffix = f"; {len(missed) - 1} more" if missed[1:] else ""
+    sizes = f" ({abs(worst.difference):.0%} off, tolerance {worst.tolerance:.0%}): {cause}{suffix}"
     return join([worst.message, Message(sizes)], "")
 
 
-def use_of(judged: Iterable[Judgement], checks: Iterable[Check]) -> Use:
+def use_of(judged: Iterable[Judgement], checks: Iterable[Check]) -> Fitness:
     """What the whole run may be used for: as its worst test, check or law."""
     statuses, uses = {check.status for check in checks}, {j.use for j in judged}
-    if Verdict.FAIL in statuses or Use.NOT_USABLE in uses:
-        return Use.NOT_USABLE
-    return Use.WITH_CARE if Verdict.WARNING in statuses or Use.WITH_CARE in uses else Use.USABLE
+    if CheckStatus.FAIL in statuses or Fitness.NOT_USABLE in uses:
+        return Fitness.NOT_USABLE
+    return (
+        Fitness.WITH_CARE
+        if CheckStatus.WARNING in statuses or Fitness.WITH_CARE in uses
+        else Fitness.USABLE
+    )
 
 
 def verdict_sentences(
     manifest: Manifest, checks: Sequence[Check], judged: Sequence[Judgement]
 ) -> tuple[Message, ...]:
     """What a run may be used for, and why: a sentence each, the worst first."""
-    failed = [check for check in checks if check.status == Verdict.FAIL]
+    failed = [check for check in checks if check.status == CheckStatus.FAIL]
     wrong = [j for j in judged if j.wrong]
-    careful = [j for j in judged if j.use == Use.WITH_CARE]
+    careful = [j for j in judged if j.use == Fitness.WITH_CARE]
     sentences = []
-    for lead, some in (("Something is wrong with", wrong), ("To be used with care:", careful)):
-        if some:
+    for lead, group in (("Something is wrong with", wrong), ("To be used with care:", careful)):
+        if group:
             tests = f"{len(judged)} test{'' if len(judged) == 1 else 's'}"
-            sentences.append(Message(f"{lead} {len(some)} of {tests}."))
-            for j in some[:MOST_NAMED]:
+            sentences.append(Message(f"{lead} {len(group)} of {tests}."))
+            for j in group[:MOST_NAMED]:
                 head = Message("{test}: ", {"test": j.subject})
                 sentences.append(join([head, join(j.reasons, "; "), Message(".")], ""))
-            if some[MOST_NAMED:]:
-                sentences.append(Message(f"And {len(some) - MOST_NAMED} more."))
-    if all(j.use == Use.USABLE for j in judged):
+            if group[MOST_NAMED:]:
+                sentences.append(Message(f"And {len(group) - MOST_NAMED} more."))
+    if all(j.use == Fitness.USABLE for j in judged):
         count = len(judged)
-        which = {1: "The test is", 2: "Both tests are"}.get(count, f"All {count} tests are")
-        sentences.append(Message(f"{which} reproduced within tolerance."))
+        subject = {1: "The test is", 2: "Both tests are"}.get(count, f"All {count} tests are")
+        sentences.append(Message(f"{subject} reproduced within tolerance."))
     lost = {check.test for check in failed if check.check == CALIBRATION}
     advice = "correct what is wrong first" if wrong else "give a larger --effort"
     sentences.append(_of_sampling(failed, manifest, len(judged) - len(lost), advice))
-    if len(judged) > 1 and judged[0].use != Use.USABLE:
+    if len(judged) > 1 and judged[0].use != Fitness.USABLE:
         worst, second = judged[:2]
-        alone = "" if second.misfit < worst.misfit else " (as little as {second})"
+        addition = "" if second.misfit < worst.misfit else " (as little as {second})"
         names = {"worst": worst.subject, "second": second.subject}
-        sentences.append(Message(f"The test to believe least is {{worst}}{alone}.", names))
-    bent = [c for c in checks if c.check == FREE_EXPONENT and c.status == Verdict.WARNING]
+        sentences.append(Message(f"The test to believe least is {{worst}}{addition}.", names))
+    bent = [c for c in checks if c.check == FREE_EXPONENT and c.status == CheckStatus.WARNING]
     if bent:
-        what = ", ".join(f"{c.feature}: exponent {c.observed:.2f}" for c in bent)
-        text = f"The proportional law is not supported ({what}, not 1): do not extrapolate with it."
+        data = ", ".join(f"{c.feature}: exponent {c.observed:.2f}" for c in bent)
+        text = f"The proportional law is not supported ({data}, not 1): do not extrapolate with it."
         sentences.append(Message(text))
     scattered = [c for c in checks if c.check == SCATTER]
     if scattered:
-        what = ", ".join(
+        data = ", ".join(
             f"{c.feature}: {c.observed:.0%}, the priors expect about {c.expected:.0%}"
             for c in scattered
         )
         text = (
-            f"Tests at one actuation scatter more than expected ({what}): the actuation, a unit or "
+            f"Tests at one actuation scatter more than expected ({data}): the actuation, a unit or "
             "the file of a test may be wrong, or the law does not hold."
         )
         sentences.append(Message(text))
@@ -603,16 +615,16 @@ def _of_sampling(
     """Whether the sampling reached its targets, and what to do where it did not."""
     effort, laws = manifest.effort, "laws" if manifest.axes.actuated else "population"
     limits = f"R-hat <= {effort.r_hat:g}, bulk and tail ESS >= {effort.ess:g}"
-    where: dict[str, list[str]] = {}
+    failures: dict[str, list[str]] = {}
     for c in failed:
         if c.check in SAMPLING:
-            where.setdefault(c.test, []).append(f"{c.check} of {c.feature}")
-    if not where:
+            failures.setdefault(c.test, []).append(f"{c.check} of {c.feature}")
+    if not failures:
         tests = "The calibrated test" if calibrated == 1 else f"All {calibrated} calibrated tests"
         return Message(f"{tests} and the {laws} converged ({limits}).")
     names = ", ".join(
-        f"{test} ({first}{f' and {len(more)} more' if more else ''})"
-        for test, (first, *more) in sorted(where.items())
+        f"{test} ({failure}{f' and {len(remainder)} more' if remainder else ''})"
+        for test, (failure, *remainder) in sorted(failures.items())
     )
     return Message(
         f"The sampling did not reach its targets ({limits}, and chains that are long enough) in "
@@ -645,18 +657,18 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[Message, ...]:
     if weak := _counted(row["name"] for row in rows if row["contraction"] < INFORMED):
         texts.append(f"Parameters that the data do not determine (number of tests): {weak}.")
     texts += _of_identifiability(tests)
-    if apart := _counted(row["name"] for row in rows if row["joint_conflict"]):
+    if disjoint := _counted(row["name"] for row in rows if row["joint_conflict"]):
         texts.append(
             "Parameters whose interval in a test alone does not overlap that in the joint "
-            f"posterior of all tests, which predictions use (number of tests): {apart}."
+            f"posterior of all tests, which predictions use (number of tests): {disjoint}."
         )
     if "gamma1" in run.model.standard_names & {row["name"] for row in rows}:
         texts.append(f"gamma1 and gamma2 are {SCALE_NOTE}; gamma1 keeps its prior.")
-    left = [test.id for test in tests if test.rows and not test.noises]
-    if left:
-        more = f" and {len(left) - 3} more" if left[3:] else ""
+    skipped = [test.id for test in tests if test.rows and not test.noises]
+    if skipped:
+        tail = f" and {len(skipped) - 3} more" if skipped[3:] else ""
         texts.append(
-            f"Not fitted under another noise model: {', '.join(left[:3])}{more}. How far their "
+            f"Not fitted under another noise model: {', '.join(skipped[:3])}{tail}. How far their "
             "parameters depend on that choice is not known. The effort standard does it; at quick, "
             "noise_check = true in [campaign] asks for it."
         )
@@ -679,9 +691,9 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[Message, ...]:
     return tuple(Message("{text}", {"text": text}) for text in texts)
 
 
-def _counted(names: Iterable[str], most: int | None = None) -> str:
+def _counted(names: Iterable[str], limit: int | None = None) -> str:
     """Names with how often each is there, the most frequent first."""
-    return ", ".join(f"{name} ({times})" for name, times in Counter(names).most_common(most))
+    return ", ".join(f"{name} ({times})" for name, times in Counter(names).most_common(limit))
 
 
 def _of_identifiability(tests: Sequence[TestView]) -> list[str]:
@@ -710,10 +722,10 @@ def zero_pressure_sentences(design: Design, tests: Iterable[str]) -> list[str]:
     settings = zip(tests, design.settings, strict=False)
     zeros = ", ".join(name for name, setting in settings if setting.actuation == 0)
     columns = zip(design.names, design.informs.T, strict=True)
-    left = [name for name, informs in columns if not informs.all()]
-    if not zeros or not left:
+    uninformed = [name for name, informs in columns if not informs.all()]
+    if not zeros or not uninformed:
         return []
-    laws = ", ".join(f"{name} ({design.laws[name]})" for name in left)
+    laws = ", ".join(f"{name} ({design.laws[name]})" for name in uninformed)
     return [
         f"A law without an intercept has no value at zero actuation: from {zeros} nothing is "
         f"learned about {laws}. The laws affine and residual_power would learn from it."
@@ -729,27 +741,27 @@ def left_out_view(scores: CampaignCrossValidation | None) -> LeftOutView | None:
         return None
     rows: list[Row] = []
     for prediction in scores.predictions:
-        own, fitted = prediction.score, prediction.fitted
+        held_out, fitted = prediction.score, prediction.fitted
         rows.append(
             {"part": prediction.part, "test": prediction.test}
-            | score_record(own)
+            | score_record(held_out)
             | {"fitted_width": fitted.width, "fitted_crps": fitted.crps}
-            | {"width_ratio": own.width / fitted.width if fitted.width > 0 else np.nan}
-            | {"crps_ratio": own.crps / fitted.crps if fitted.crps > 0 else np.nan}
+            | {"width_ratio": held_out.width / fitted.width if fitted.width > 0 else np.nan}
+            | {"crps_ratio": held_out.crps / fitted.crps if fitted.crps > 0 else np.nan}
             | {"whole_95": np.nan if prediction.whole is None else float(prediction.whole)}
         )
     names = [name for name in rows[0] if name not in ("part", "test")]
     mean = {name: float(np.mean([row[name] for row in rows])) for name in names}
-    others = "the others" if scores.by == "test" else f"those of the other {scores.by}s"
-    held = [row["whole_95"] for row in rows]
-    whole = (
+    sources = "the others" if scores.by == "test" else f"those of the other {scores.by}s"
+    is_covered = [row["whole_95"] for row in rows]
+    history = (
         " The 95 % bands of whole histories hold the whole force of "
-        f"{sum(held):.0f} of {len(held)} tests."
+        f"{sum(is_covered):.0f} of {len(is_covered)} tests."
     )
     sentence = (
-        f"Of {len(rows)} tests, each predicted from {others}, the 95 % bands hold "
+        f"Of {len(rows)} tests, each predicted from {sources}, the 95 % bands hold "
         f"{100 * mean['coverage_95']:.1f} % of the force, the 50 % bands "
         f"{100 * mean['coverage_50']:.1f} %; they are on average {mean['width_ratio']:.1f} times "
-        f"as wide as those of the fitted tests.{whole if np.all(np.isfinite(held)) else ''}"
+        f"as wide as those of the fitted tests.{history if np.all(np.isfinite(is_covered)) else ''}"
     )
     return LeftOutView(scores.by, tuple(rows), {"part": "", "test": "mean"} | mean, sentence)

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Identifiability
-from mfd_bayes.evaluation.scores import Fan, Row, Rows
+from mfd_bayes.evaluation.scores import QuantileBand, Row, Rows
 from mfd_bayes.friction.model import Model
-from mfd_bayes.messages import Message, Quantity, Writer
+from mfd_bayes.messages import Measure, Message, Writer
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.manifest import Comparison, Finding, Use, Verdict
-from mfd_bayes.runs.tested_range import Span
-from mfd_bayes.runs.unit_system import SYSTEMS, System
+from mfd_bayes.runs.manifest import CheckStatus, Comparison, Finding, Fitness
+from mfd_bayes.runs.tested_range import Range
+from mfd_bayes.runs.unit_system import SYSTEMS, UnitSystem
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -75,7 +75,7 @@ class Check:
     feature: str
     observed: float
     expected: float
-    status: Verdict
+    status: CheckStatus
     unit: str = "1"
     difference: float = float("nan")
     tolerance: float = float("nan")
@@ -90,12 +90,12 @@ class Check:
     @property
     def message(self) -> Message:
         """The comparison as a sentence: "peak force forward 3.68 kip where 2.9 kip is expected"."""
-        values: dict[str, Quantity | str] = {"feature": self.feature}
+        values: dict[str, Measure | str] = {"feature": self.feature}
         if self.check == COVERAGE:
             return Message(f"{{feature}}: {self.observed:.0%} of the samples are inside", values)
         for name, value in (("observed", self.observed), ("expected", self.expected)):
             has_unit = self.unit not in ("1", "dimensionless")
-            values[name] = Quantity.of(value, unit=self.unit) if has_unit else f"{value:.3g}"
+            values[name] = Measure.of(value, unit=self.unit) if has_unit else f"{value:.3g}"
         if self.check == PREDICTIVE:
             return Message(f"{self.feature} {{observed}} where {{expected}} is expected", values)
         return Message(f"{self.check} of {{feature}}: {{observed}} ({self.limit})", values)
@@ -111,7 +111,7 @@ class Judgement:
     """
 
     subject: str
-    use: Use
+    use: Fitness
     reasons: tuple[Message, ...]
     misfit: float
     wrong: bool = False
@@ -156,9 +156,9 @@ class TestView:
     role: str
     trace: Trace
     first: int
-    observation: Fan
+    observation: QuantileBand
     score: Row
-    device: Fan | None = None
+    device: QuantileBand | None = None
     rows: Rows = ()
     marginals: tuple[Marginal, ...] = ()
     chains: int = 0
@@ -188,8 +188,8 @@ class LawView:
     unit: str
     law: str
     actuation: Array
-    device: Fan
-    new_test: Fan
+    device: QuantileBand
+    new_test: QuantileBand
     tested: tuple[tuple[str, float, float, float, float], ...]
 
 
@@ -242,15 +242,15 @@ class DriftRow:
     @property
     def sentence(self) -> str:
         """The change, and when it is too much, in words."""
-        first = (
+        text = (
             f"{self.change:+.2g} % per {self.per} (95 % interval {self.lower:+.2g} to "
             f"{self.upper:+.2g} %)"
         )
         if not self.found:
-            first += ", which may be none"
+            text += ", which may be none"
         when = f" (median: {self.when})" if self.when else ""
         return (
-            f"{first}. At the last test it has left ±{self.limit:.0f} % with a probability of "
+            f"{text}. At the last test it has left ±{self.limit:.0f} % with a probability of "
             f"{self.left:.2f}; {_AFTER[self.condition]} it will have with {self.leaves:.2f}{when}."
         )
 
@@ -291,7 +291,7 @@ class CampaignView:
     """
 
     title: str
-    verdict: Use
+    verdict: Fitness
     sentences: tuple[Message, ...]
     actuation_unit: str
     tests: tuple[TestView, ...]
@@ -310,8 +310,8 @@ class CampaignView:
     judgements: tuple[Judgement, ...] = ()
     warnings: tuple[Finding, ...] = ()
     metric: bool = False
-    systems: tuple[System, System] = SYSTEMS
-    tested: tuple[Span, ...] = ()
+    systems: tuple[UnitSystem, UnitSystem] = SYSTEMS
+    tested: tuple[Range, ...] = ()
     drifts: tuple[DriftRow, ...] = ()
     model: Model | None = None
 
@@ -323,9 +323,9 @@ class CampaignView:
     @property
     def unusable(self) -> bool:
         """Whether the run must not be used: a check failed, or something is wrong with a test."""
-        return self.verdict == Use.NOT_USABLE
+        return self.verdict == Fitness.NOT_USABLE
 
     @property
-    def system(self) -> System:
+    def system(self) -> UnitSystem:
         """System of units of figures and tables: by default the campaign's own."""
         return self.systems[self.metric]

@@ -84,16 +84,18 @@ def _softplus(a: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Damper:
+class SpringAndBristle:
     """n dampers by their parameters, (n,) each, at the reference actuation."""
 
     columns: Mapping[str, Array]
 
-    def of(self, rows: Index) -> Damper:
+    def of(self, rows: Index) -> SpringAndBristle:
         """Some of the dampers."""
-        some = Damper({name: column[..., rows] for name, column in self.columns.items()})
-        vars(some)["onset"] = self.onset[:, rows]  # the search for it takes longer
-        return some
+        subset = SpringAndBristle(
+            {name: column[..., rows] for name, column in self.columns.items()}
+        )
+        vars(subset)["onset"] = self.onset[:, rows]  # the search for it takes longer
+        return subset
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
         """Force G of the spring, kip, and stiffness dG/dz, kip/in, at deflections z, (..., n), in.
@@ -104,20 +106,20 @@ class Damper:
         a, half, fwd, bwd = z / ell, 0.5 * gap / ell, k_fwd * ell, k_bwd * ell
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             e = np.exp(a - half)  # one exponential serves both sides
-            other = np.exp(-2.0 * half) / e
+            e_bwd = np.exp(-2.0 * half) / e
             e += 1.0
-            other += 1.0
+            e_bwd += 1.0
             force = fwd * np.log(e)
-            force -= bwd * np.log(other)
+            force -= bwd * np.log(e_bwd)
             force += k_0 * z
-            slope = (k_fwd + k_bwd + k_0) - k_fwd / e - k_bwd / other
+            slope = (k_fwd + k_bwd + k_0) - k_fwd / e - k_bwd / e_bwd
         if not (a.min(initial=0.0) > LEAST and np.isfinite(force.sum())):
-            ahead, back = a - half, -a - half
-            force = fwd * np.logaddexp(0.0, ahead) - bwd * np.logaddexp(0.0, back) + k_0 * z
-            slope = k_fwd * expit(ahead) + k_bwd * expit(back) + k_0
+            a_fwd, a_bwd = a - half, -a - half
+            force = fwd * np.logaddexp(0.0, a_fwd) - bwd * np.logaddexp(0.0, a_bwd) + k_0 * z
+            slope = k_fwd * expit(a_fwd) + k_bwd * expit(a_bwd) + k_0
         return force, slope
 
-    def about(self, force: Array, sign: Array) -> Array:
+    def approximate_inverse(self, force: Array, sign: Array) -> Array:
         """About the deflection s z, (..., n), in, where s G is `force` ≥ 0.
 
         The inverse of one side alone, where k_0 takes its share of the force as with a sharp
@@ -126,8 +128,8 @@ class Damper:
         k_fwd, k_bwd, gap, ell, k_0 = (self.columns[name] for name in SPRING)
         half, stiff = 0.5 * gap, np.where(sign > 0, k_fwd, k_bwd)
         sharp = (half + force / stiff) / (1.0 + k_0 / stiff)
-        own = np.maximum((force - k_0 * sharp) / (stiff * ell), 1e-6)
-        ahead: Array = half + ell * (own + np.log(-np.expm1(-own)))
+        load = np.maximum((force - k_0 * sharp) / (stiff * ell), 1e-6)
+        ahead: Array = half + ell * (load + np.log(-np.expm1(-load)))
         now, slope = self.evaluate(sign * ahead)
         ahead -= (sign * now - force) / np.maximum(slope, 1e-300)
         return ahead
@@ -143,7 +145,7 @@ class Damper:
         uneven = np.log1p(np.maximum(k_fwd, k_bwd) / softest)
         high = 0.5 * gap + ell * (2.0 + uneven) + size / softest
         sign = np.sign(force)
-        z = sign * np.clip(self.about(size, sign), 0.0, high)
+        z = sign * np.clip(self.approximate_inverse(size, sign), 0.0, high)
         low = -high
         for _ in range(INVERSIONS):
             now, slope = self.evaluate(z)
@@ -152,8 +154,8 @@ class Damper:
             if np.all(np.abs(step) <= close * (ell + np.abs(z))):
                 return z - step
             low, high = np.where(error < 0, z, low), np.where(error > 0, z, high)
-            new = z - step
-            z = np.where((new >= low) & (new <= high), new, 0.5 * (low + high))
+            trial = z - step
+            z = np.where((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
         return z
 
     @cached_property
@@ -205,11 +207,11 @@ class Damper:
         force *= of_direction(backward, self.kinetic)
         length = 1.0 / self.rate[None]
         if shares:
-            ahead, back = (np.maximum(shares.get(name, 1.0), FLOOR) for name in ACTUATED)
-            share = np.where(backward, back, ahead)
+            share_fwd, share_bwd = (np.maximum(shares.get(name, 1.0), FLOOR) for name in ACTUATED)
+            share = np.where(backward, share_bwd, share_fwd)
             force *= share
             length = np.minimum(share, 1.0) * length
-        return np.log(force), self.about(force, sign), length
+        return np.log(force), self.approximate_inverse(force, sign), length
 
     @cached_property
     def range(self) -> tuple[Array, Array]:
@@ -248,35 +250,35 @@ class Cut(NamedTuple):
     ends: Index
 
 
-def cut(length: Array, since: Array, step: Array, window: Array) -> Cut:
+def cut(length: Array, travel: Array, step: Array, window: Array) -> Cut:
     """Steps that are short where slip sets in, and long in slip; (M, 1) against (n,), or (1, n).
 
     Parameters
     ----------
     length : in
         Of each step of the motion.
-    since : in
+    travel : in
         Way since the last turn at its beginning.
     step, window : (n,), in
         `Damper.steps`. Where a damper has fewer steps than another, some have length zero.
     """
-    near = np.minimum(np.maximum(window - since, 0.0), length)
-    far = length - near
-    close, loose = near / step, far / (FAR * step)
+    fine = np.minimum(np.maximum(window - travel, 0.0), length)
+    coarse = length - fine
+    close, loose = fine / step, coarse / (FAR * step)
     close = np.where(close <= MOST, np.ceil(close), 1.0)
     loose = np.where(loose <= MOST, np.ceil(np.minimum(loose, MOST_FAR)), 1.0)
     close[close + loose == 0.0] = 1.0
     count = close + loose
-    most = count.max(axis=1).astype(np.intp)
-    ends = np.cumsum(most)
-    origin = np.repeat(np.arange(most.size), most)
+    counts = count.max(axis=1).astype(np.intp)
+    ends = np.cumsum(counts)
+    origin = np.repeat(np.arange(counts.size), counts)
     number = (np.arange(origin.size) - ends[origin])[:, None] + count[origin]  # < 0: length 0
-    inside = number < close[origin]
-    a, b = near / np.maximum(close, 1.0), far / np.maximum(loose, 1.0)
-    way = np.where(inside, a[origin], b[origin])
+    is_fine = number < close[origin]
+    a, b = fine / np.maximum(close, 1.0), coarse / np.maximum(loose, 1.0)
+    way = np.where(is_fine, a[origin], b[origin])
     way[number < 0.0] = 0.0
-    before = np.where(inside, 0.0, (near - close * b)[origin])
-    share = (before + (number + 0.5) * way) / np.maximum(length, 1e-300)[origin]
+    offset = np.where(is_fine, 0.0, (fine - close * b)[origin])
+    share = (offset + (number + 0.5) * way) / np.maximum(length, 1e-300)[origin]
     return Cut(way, np.minimum(np.maximum(share, 0.0), 1.0), origin, ends)
 
 
@@ -302,20 +304,20 @@ class Steps(NamedTuple):
     length: Array
 
 
-def advance(damper: Damper, steps: Steps, first: Array) -> tuple[Array, Array]:
+def advance(damper: SpringAndBristle, steps: Steps, z0: Array) -> tuple[Array, Array]:
     """Spring force after each step, (R, n), kip, and the last deflection, (n,), in.
 
-    Both are NaN for vectors that Newton's method cannot solve. `first` is the deflection before.
+    Both are NaN for vectors that Newton's method cannot solve. `z0` is the deflection before.
     """
     n, slip = damper.columns["n"], _at_once(damper, steps)
     turned = (steps.sign[1:] != steps.sign[:-1]).any(axis=1)
     turns = np.flatnonzero(np.append(True, turned))  # the first step too
-    z = np.concatenate([first[None], guess(damper, steps, turns, first)])
+    z = np.concatenate([z0[None], guess(damper, steps, turns, z0)])
     error = np.square(damper.rate / np.where(n < 2.0, CLOSE_BLUNT, CLOSE))
     lost = np.zeros(n.size, dtype=bool)
     force, now = np.empty(steps.level.shape), z[1:]
-    for done in range(ITERATIONS):
-        held, slope, decay, drive = newton(damper, steps, slip, turns, z)
+    for iteration in range(ITERATIONS):
+        spring, slope, decay, drive = newton(damper, steps, slip, turns, z)
         step = solve(decay, drive, np.zeros(n.size))
         moved = np.square(step) @ error
         if not np.isfinite(moved.sum()):
@@ -324,10 +326,10 @@ def advance(damper: Damper, steps: Steps, first: Array) -> tuple[Array, Array]:
             moved = np.square(step) @ error
         now += step
         slope *= step
-        np.add(held, slope, out=force)
-        if moved.max() > FAR_OFF * n.size and done < CUTS:
-            most = np.minimum(steps.sign * now, steps.bound + 2.0 * steps.length)
-            np.multiply(steps.sign, most, out=now, where=steps.way > 0.0)  # at rest more may stay
+        np.add(spring, slope, out=force)
+        if moved.max() > FAR_OFF * n.size and iteration < CUTS:
+            limit = np.minimum(steps.sign * now, steps.bound + 2.0 * steps.length)
+            np.multiply(steps.sign, limit, out=now, where=steps.way > 0.0)  # at rest more may stay
         if moved.max() <= 1.0:
             break
     else:
@@ -337,7 +339,7 @@ def advance(damper: Damper, steps: Steps, first: Array) -> tuple[Array, Array]:
 
 
 def newton(
-    damper: Damper, steps: Steps, slip: Array | None, turns: Index, ends: Array
+    damper: SpringAndBristle, steps: Steps, slip: Array | None, turns: Index, ends: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Force and stiffness, and Newton's recurrence δ_k = decay_k δ_{k−1} + drive_k of deflections.
 
@@ -351,22 +353,22 @@ def newton(
     (R + 1, n), in, the deflections before and after each step.
     """
     n, way, sign = damper.columns["n"], steps.way, steps.sign
-    z, begun, bend = ends[1:], ends[:-1], 1.0 - 1.0 / n
+    z, z0, bend = ends[1:], ends[:-1], 1.0 - 1.0 / n
     force, slope = damper.evaluate(z)
     # ln Gⁿ and n G′/G where G pushes against the motion, after each step
     log, share = _push(sign * force, slope, n)
     # before it the same, but for those that turn
     log0, share0 = np.empty_like(log), np.empty_like(share)
     log0[1:], share0[1:] = log[:-1], share[:-1]
-    held, stiff = damper.evaluate(ends[turns])
-    log0[turns], share0[turns] = _push(sign[turns] * held, stiff, n)
+    values, stiff = damper.evaluate(ends[turns])
+    log0[turns], share0[turns] = _push(sign[turns] * values, stiff, n)
     limit = n * steps.level
     log0 -= limit
-    over = None
+    exceeds = None
     if log0.max() > OVER:
-        over = (log0 > OVER) & (way > 0.0)  # at rest nothing is let go
-        begun = begun.copy()
-        _let_go(damper, steps, over, share0, begun)
+        exceeds = (log0 > OVER) & (way > 0.0)  # at rest nothing is let go
+        z0 = z0.copy()
+        project_to_slip(damper, steps, exceeds, share0, z0)
         np.minimum(log0, OVER, out=log0)
     # the end of each step
     log -= limit
@@ -382,16 +384,16 @@ def newton(
     gain += f * (6.0 - c)
     decay = (12.0 - c * (6.0 - c + bend * b * f)) / t
     gain *= sign * way
-    gain += 12.0 * (begun - z)
+    gain += 12.0 * (z0 - z)
     gain /= t
-    if over is not None:
-        decay[over] = 0.0
+    if exceeds is not None:
+        decay[exceeds] = 0.0
     if slip is not None:
         row, column = np.nonzero(np.isfinite(slip))
         ways, signs = (np.broadcast_to(a, z.shape)[row, column] for a in (way, sign))
-        free, held = signs * ends[row, column] + ways, slip[row, column]
-        decay[row, column] = free < held
-        gain[row, column] = signs * np.minimum(free, held) - z[row, column]
+        elastic, values = signs * ends[row, column] + ways, slip[row, column]
+        decay[row, column] = elastic < values
+        gain[row, column] = signs * np.minimum(elastic, values) - z[row, column]
     decay[0] = 0.0
     return force, slope, decay, gain
 
@@ -408,18 +410,18 @@ def _push(ahead: Array, slope: Array, n: Array) -> tuple[Array, Array]:
     return ahead, share
 
 
-def _let_go(
-    damper: Damper, steps: Steps, over: NDArray[np.bool_], share: Array, begun: Array
+def project_to_slip(
+    damper: SpringAndBristle, steps: Steps, exceeds: NDArray[np.bool_], share: Array, z0: Array
 ) -> None:
     """Let steps that begin beyond slip begin where n ln(G/g) is `OVER`; the last two change."""
-    _, column = np.nonzero(over)
-    some, n = damper.of(column), damper.columns["n"][column]
-    level = np.exp(steps.level[over] + OVER / n)
-    begun[over] = some.deflection(np.broadcast_to(steps.sign, over.shape)[over] * level)
-    share[over] = n * some.evaluate(begun[over])[1] / level
+    _, column = np.nonzero(exceeds)
+    subset, n = damper.of(column), damper.columns["n"][column]
+    level = np.exp(steps.level[exceeds] + OVER / n)
+    z0[exceeds] = subset.deflection(np.broadcast_to(steps.sign, exceeds.shape)[exceeds] * level)
+    share[exceeds] = n * subset.evaluate(z0[exceeds])[1] / level
 
 
-def _at_once(damper: Damper, steps: Steps) -> Array | None:
+def _at_once(damper: SpringAndBristle, steps: Steps) -> Array | None:
     """Deflection s z in slip of steps so long that it sets in at once, or not at all; else NaN."""
     if not steps.way.max() > STIFF * steps.length.min():
         return None
@@ -432,7 +434,7 @@ def _at_once(damper: Damper, steps: Steps) -> Array | None:
     return slip
 
 
-def guess(damper: Damper, steps: Steps, turns: Index, first: Array) -> Array:
+def guess(damper: SpringAndBristle, steps: Steps, turns: Index, z0: Array) -> Array:
     """About the deflections, (R, n): unloading, a rounded corner where slip sets in, and slip."""
     rate, bound, sign = damper.rate, steps.bound, steps.sign
     ends = np.append(turns[1:], len(bound))
@@ -441,13 +443,13 @@ def guess(damper: Damper, steps: Steps, turns: Index, first: Array) -> Array:
     way = way - (way[turns] - steps.way[turns])[stretch]
     room = bound - way
     room *= rate
-    last, offset = first, np.empty((turns.size, rate.size))
+    z, offset = z0, np.empty((turns.size, rate.size))
     for k, (begin, end) in enumerate(zip(turns.tolist(), (ends - 1).tolist(), strict=True)):
-        held = sign[begin] * last
+        zeta = sign[begin] * z
         # a stretch that begins near slip has less of the corner ahead of it
-        near = np.maximum((bound[begin] - held) * rate, 1e-300)
-        offset[k] = held * rate - np.log(-np.expm1(-near))
-        last = sign[end] * (bound[end] - _softplus(room[end] - offset[k]) / rate)
+        distance = np.maximum((bound[begin] - zeta) * rate, 1e-300)
+        offset[k] = zeta * rate - np.log(-np.expm1(-distance))
+        z = sign[end] * (bound[end] - _softplus(room[end] - offset[k]) / rate)
     room -= offset[stretch]
     bent = _softplus(room)
     bent /= rate
@@ -486,29 +488,29 @@ class BacklashLuGre(Model):
         Fc_fwd and Fc_bwd follow the actuation. `start` is the place between slip backward, 0,
         and slip forward, 1.
         """
-        force, _ = self._along(Damper(c), trace, start, factors)
+        force, _ = self._along(SpringAndBristle(c), trace, start, factors)
         force += c["sigma2"] * trace.velocity[:, None]
         return force
 
     def _along(
-        self, damper: Damper, trace: Trace, start: Array, factors: Columns
+        self, damper: SpringAndBristle, trace: Trace, start: Array, factors: Columns
     ) -> tuple[Array, Array]:
         """Spring force at the samples, (T, n), kip, and the deflection z at the last, (n,), in."""
         time, x, nearest, samples = through_vertices(trace)
         factors = {name: factor.take(nearest, axis=0) for name, factor in factors.items()}
-        first, moves = damper.begin(start), np.diff(x)
-        sign, since = strokes_of(moves)
-        force, last = np.empty((trace.samples, start.size)), np.empty(start.size)
-        force[0] = damper.evaluate(first)[0]
+        z0, moves = damper.begin(start), np.diff(x)
+        sign, travel = strokes_of(moves)
+        force, z = np.empty((trace.samples, start.size)), np.empty(start.size)
+        force[0] = damper.evaluate(z0)[0]
         step, window = damper.steps
         # those with similar steps go together
         for rows in np.array_split(np.argsort(step), -(-step.size // TOGETHER)):
-            cuts = cut(np.abs(moves)[:, None], since[:, None], step[rows], window[rows])
-            own = {k: f if f.shape[1] == 1 else f[:, rows] for k, f in factors.items()}
+            cuts = cut(np.abs(moves)[:, None], travel[:, None], step[rows], window[rows])
+            subset = {k: f if f.shape[1] == 1 else f[:, rows] for k, f in factors.items()}
             motion = sign[:, None], (moves / np.diff(time))[:, None]
-            found, last[rows] = follow(damper.of(rows), cuts, motion, own, first[rows])
-            force[1:, rows] = found[samples[1:] - 1]
-        return force, last
+            spring, z[rows] = follow(damper.of(rows), cuts, motion, subset, z0[rows])
+            force[1:, rows] = spring[samples[1:] - 1]
+        return force, z
 
     def compute_end(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
         """Place of the deflection z at the last sample in the range of `start`, (n,), 1.
@@ -517,14 +519,14 @@ class BacklashLuGre(Model):
         that range, which static friction, or an actuation above the reference, may hold: it is
         taken as the end of the range.
         """
-        damper = Damper(c)
+        damper = SpringAndBristle(c)
         return damper.place(self._along(damper, trace, start, factors)[1])
 
     def start_at(
         self,
-        place: Array,
+        position: Array,
         trace: Trace,
-        before: ArrayLike | None = None,
+        previous_theta: ArrayLike | None = None,
         theta: ArrayLike | None = None,
     ) -> Array:
         """`start` of a motion at a place in the gap, (n,).
@@ -532,14 +534,17 @@ class BacklashLuGre(Model):
         Between dampers that differ, what is inside the gap is the same share of the gap, and beyond
         it the spring keeps its deflection.
         """
-        if before is None or theta is None:
-            return place
-        ended, damper = Damper(self.columns(before)), Damper(self.columns(theta))
-        z = ended.begin(place)
-        theirs, own = 0.5 * ended.columns["gap"], 0.5 * damper.columns["gap"]
-        inside = np.clip(z, -theirs, theirs)
-        share = np.divide(inside, theirs, out=np.zeros(z.shape), where=theirs > 0)
-        return damper.place(share * own + z - inside)
+        if previous_theta is None or theta is None:
+            return position
+        ended, damper = (
+            SpringAndBristle(self.columns(previous_theta)),
+            SpringAndBristle(self.columns(theta)),
+        )
+        z = ended.begin(position)
+        previous_half, half = 0.5 * ended.columns["gap"], 0.5 * damper.columns["gap"]
+        in_gap = np.clip(z, -previous_half, previous_half)
+        share = np.divide(in_gap, previous_half, out=np.zeros(z.shape), where=previous_half > 0)
+        return damper.place(share * half + z - in_gap)
 
     def gap(self, values: Mapping[str, Array]) -> Array:
         """Width of the gap D, (n,), in."""
@@ -556,13 +561,13 @@ class BacklashLuGre(Model):
         The load doubles over the edge. The upper end is at least a thousandth above the lower one,
         also where it is then beyond the range.
         """
-        damper = Damper(named_columns(values, (*SPRING, *ACTUATED)))
+        damper = SpringAndBristle(named_columns(values, (*SPRING, *ACTUATED)))
         low, high = damper.range
         slip = np.stack([-damper.columns["Fc_bwd"], damper.columns["Fc_fwd"]])
         shares = np.array([LITTLE, 2.0 * LITTLE])[:, None, None]
-        at = damper.deflection(shares * slip, close=1e-4)
-        lower, upper = np.clip((at[0] - low) / (high - low), 0.0, 1.0)
-        edge = 0.5 * np.abs(at[1] - at[0]).sum(axis=0) / (high - low)
+        z = damper.deflection(shares * slip, close=1e-4)
+        lower, upper = np.clip((z[0] - low) / (high - low), 0.0, 1.0)
+        edge = 0.5 * np.abs(z[1] - z[0]).sum(axis=0) / (high - low)
         return lower, np.maximum(upper, lower + 1e-3), edge
 
     def stages(
@@ -573,7 +578,7 @@ class BacklashLuGre(Model):
         It slips where the spring takes up less than half of the motion. Beyond the gap the force
         builds up where the motion loads the spring, and the device sticks where it unloads it.
         """
-        damper = Damper(self.columns(theta))
+        damper = SpringAndBristle(self.columns(theta))
         force = self.force(theta, trace, start).T
         force -= trace.velocity[:, None] * damper.columns["sigma2"]
         z = damper.deflection(force)
@@ -581,19 +586,19 @@ class BacklashLuGre(Model):
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.abs(np.diff(z, axis=0, prepend=z[:1]) / moved)
         loads = moved * force > 0
-        inside = np.abs(z) < 0.5 * damper.columns["gap"]
-        stage = np.select([loads & (share < 0.5), inside, loads], [1, 4, 3], 2)
+        in_gap = np.abs(z) < 0.5 * damper.columns["gap"]
+        stage = np.select([loads & (share < 0.5), in_gap, loads], [1, 4, 3], 2)
         return stage.T.astype(np.int8)
 
     def constants(self, c: Columns) -> dict[str, Any]:
         """Columns, and what is searched for once."""
-        damper = Damper(c)
+        damper = SpringAndBristle(c)
         step, window = damper.steps
         return c | {"onset": damper.onset, "step": step, "window": window}
 
     def begin(self, state: State, start: Array, direction: Array | None) -> Columns:
         """A deflection in its range; no direction has to be known before the motion."""
-        damper = Damper(state.constants)
+        damper = SpringAndBristle(state.constants)
         z, zero = damper.begin(start), np.zeros(start.size)
         spring = damper.evaluate(z)[0]
         return {"z": z, "spring": spring, "sign": zero, "travelled": zero}
@@ -606,8 +611,8 @@ class BacklashLuGre(Model):
         way = displacement - state.displacement
         sign = np.where(way == 0.0, memory["sign"], np.sign(way))
         sign[sign == 0.0] = 1.0
-        since = np.where(sign == memory["sign"], memory["travelled"], 0.0)
-        damper = Damper(c)
+        travel = np.where(sign == memory["sign"], memory["travelled"], 0.0)
+        damper = SpringAndBristle(c)
         vars(damper)["onset"] = c["onset"]
         z = memory["z"] + way
         spring = damper.evaluate(z)[0]
@@ -615,17 +620,17 @@ class BacklashLuGre(Model):
         (rows,) = (~(sign * spring <= 0.0)).nonzero()
         if rows.size:
             length = np.abs(way)
-            cuts = cut(length[None, rows], since[None, rows], c["step"][rows], c["window"][rows])
+            cuts = cut(length[None, rows], travel[None, rows], c["step"][rows], c["window"][rows])
             names = {*state.scales, *scales}
-            one = np.ones(way.size)
+            ones = np.ones(way.size)
             factors = {
-                name: np.stack([s.get(name, one)[rows] for s in (state.scales, scales)])
+                name: np.stack([s.get(name, ones)[rows] for s in (state.scales, scales)])
                 for name in names
             }
             motion = sign[None, rows], (way / dt)[None, rows]
-            found, last = follow(damper.of(rows), cuts, motion, factors, memory["z"][rows])
-            z[rows], spring[rows] = last, found[-1]
-        return {"z": z, "spring": spring, "sign": sign, "travelled": since + np.abs(way)}
+            force, z_end = follow(damper.of(rows), cuts, motion, factors, memory["z"][rows])
+            z[rows], spring[rows] = z_end, force[-1]
+        return {"z": z, "spring": spring, "sign": sign, "travelled": travel + np.abs(way)}
 
     def total(self, state: State) -> Array:
         """F = G(z) + σ2 v, (n,), kip."""
@@ -638,8 +643,8 @@ def strokes_of(moves: Array) -> tuple[Array, Array]:
     A step of length zero has the direction of the one before it; the first ones go forward.
     """
     sign = np.append(1.0, np.sign(moves))
-    last = np.where(sign != 0, np.arange(sign.size), 0)
-    sign = sign[np.maximum.accumulate(last)][1:]
+    index = np.where(sign != 0, np.arange(sign.size), 0)
+    sign = sign[np.maximum.accumulate(index)][1:]
     total = np.append(0.0, np.cumsum(np.abs(moves)))
     turns = np.append(0, 1 + np.flatnonzero(sign[1:] != sign[:-1]))
     stretch = np.searchsorted(turns, np.arange(moves.size), side="right") - 1
@@ -647,7 +652,7 @@ def strokes_of(moves: Array) -> tuple[Array, Array]:
 
 
 def follow(
-    damper: Damper, cuts: Cut, motion: tuple[Array, Array], factors: Columns, first: Array
+    damper: SpringAndBristle, cuts: Cut, motion: tuple[Array, Array], factors: Columns, z0: Array
 ) -> tuple[Array, Array]:
     """Spring force after each step of the uncut motion, (M, n), kip, and the last z, (n,), in.
 
@@ -657,14 +662,14 @@ def follow(
         Direction and mean velocity in each of those.
     factors : dict of (M + 1, n) or (M + 1, 1)
         Factors of the slip forces at their ends, by name; empty when constant.
-    first : (n,), in
+    z0 : (n,), in
         Deflection before them.
     """
     sign, rate = motion
-    force, z = np.empty((cuts.ends.size, first.size)), first
-    lost = np.zeros(first.size, dtype=bool)
+    force, z = np.empty((cuts.ends.size, z0.size)), z0
+    lost = np.zeros(z0.size, dtype=bool)
     constant = damper.slip(sign, rate, {})
-    size = max(PIECE // max(first.size, 1), 1)
+    size = max(PIECE // max(z0.size, 1), 1)
     for begin in range(0, cuts.origin.size, size):
         end = min(begin + size, cuts.origin.size)
         origin, way, share = cuts.origin[begin:end], cuts.way[begin:end], cuts.share[begin:end]
@@ -673,10 +678,10 @@ def follow(
             level, bound, length = damper.slip(sign[origin], rate[origin], now)
         else:
             level, bound, length = *(a.take(origin, axis=0) for a in constant[:2]), constant[2]
-        part, z = advance(damper, Steps(way, sign[origin], level, bound, length), z)
+        segment, z = advance(damper, Steps(way, sign[origin], level, bound, length), z)
         lost |= np.isnan(z)
         z = np.where(lost, 0.0, z)
         low, high = np.searchsorted(cuts.ends, [begin + 1, end + 1])
-        force[low:high] = part[cuts.ends[low:high] - begin - 1]
+        force[low:high] = segment[cuts.ends[low:high] - begin - 1]
     force[:, lost] = np.nan
     return force, np.where(lost, np.nan, z)

@@ -30,7 +30,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class EnergyCurve:
     """Curve of z in one direction s = ±1, for n vectors: w = s z/F_y against ξ = k |x|/F_y.
 
         dw/dξ = 1 + (2β − 1) |w|^n for w < 0,   1 − |w|^n for w ≥ 0;   w(0) = 0
@@ -58,7 +58,7 @@ class Curve:
     bend: Array
 
     @classmethod
-    def of(cls, c: Columns) -> Curve:
+    def of(cls, c: Columns) -> EnergyCurve:
         """Curves of Bouc-Wen's parameters, (n,) each."""
         power, soft = c["exponent"][:, None], 2.0 * c["beta"][:, None] - 1.0
 
@@ -70,56 +70,58 @@ class Curve:
 
         pair = c["Fy_fwd"], c["Fy_bwd"]
         reach = REACH * (np.maximum(*pair) / np.minimum(*pair))[:, None]
-        y, near = np.linspace(0.0, 1.0, CELLS + 1), np.log(NEAR)
-        below = [-reach * FAR ** y[:0:-8], -np.expm1(y[:0:-1] * np.log1p(reach))]
-        up = np.broadcast_to(1.0 - np.exp(near * y**1.5), (len(reach), y.size))
-        w = np.hstack([*below, up, 1.0 + np.exp(near + y * (np.log(reach - 1.0) - near))])
-        half, zero = 0.5 * np.diff(w), below[0].shape[1] + CELLS
+        y, log_near = np.linspace(0.0, 1.0, CELLS + 1), np.log(NEAR)
+        negative = [-reach * FAR ** y[:0:-8], -np.expm1(y[:0:-1] * np.log1p(reach))]
+        rising = np.broadcast_to(1.0 - np.exp(log_near * y**1.5), (len(reach), y.size))
+        w = np.hstack(
+            [*negative, rising, 1.0 + np.exp(log_near + y * (np.log(reach - 1.0) - log_near))]
+        )
+        half, zero = 0.5 * np.diff(w), negative[0].shape[1] + CELLS
         middle, gap = w[:, :-1] + half, zero + CELLS
         pairs = zip(_NODES, _WEIGHTS, strict=True)
         length = half * sum(weight / slope(middle + half * node) for node, weight in pairs)
         length[:, gap] = 1.0
         # counted from ξ = 0, where small numbers are exact
-        back = -np.cumsum(length[:, :zero][:, ::-1], axis=1)[:, ::-1]
-        xi = np.hstack([back, np.zeros((len(w), 1)), np.cumsum(length[:, zero:], axis=1)])
+        xi_negative = -np.cumsum(length[:, :zero][:, ::-1], axis=1)[:, ::-1]
+        xi = np.hstack([xi_negative, np.zeros((len(w), 1)), np.cumsum(length[:, zero:], axis=1)])
         steep, rise = slope(w), 2.0 * half
-        entry, leave = (part * length / rise for part in (steep[:, :-1], steep[:, 1:]))
+        entry, leave = (s * length / rise for s in (steep[:, :-1], steep[:, 1:]))
         knots = np.stack([xi, w])
         return cls(knots, xi[:, gap], length, rise, entry, entry + leave - 2.0)
 
     def move(self, xi: Array, way: Array, row: Rows) -> Array:
         """ξ after a distance `way`, (…, n), from `xi`, (n,); it stops where w has reached 1."""
         end = self.end[row]
-        after = np.minimum(xi + way, end)
-        if np.any(over := xi > end + 0.5):
-            after = np.where(over, np.maximum(xi - way, end + 1.0), after)
-        return np.asarray(after)
+        moved = np.minimum(xi + way, end)
+        if np.any(overshot := xi > end + 0.5):
+            moved = np.where(overshot, np.maximum(xi - way, end + 1.0), moved)
+        return np.asarray(moved)
 
     def value(self, xi: Array, row: Rows) -> Array:
         """Value w at ξ, (…, n), of the vectors `row`, (n,)."""
-        cell, past, entry, bend = self._cell(0, xi, row)
-        at = np.clip(past / self.length[row, cell], 0.0, 1.0)
-        rest = 1.0 - at
-        share = at * (entry * rest + at) / (1.0 + bend * at * rest)
+        cell, offset, entry, bend = self._cell(0, xi, row)
+        t = np.clip(offset / self.length[row, cell], 0.0, 1.0)
+        u = 1.0 - t
+        share = t * (entry * u + t) / (1.0 + bend * t * u)
         return np.asarray(self.knots[1, row, cell] + self.rise[row, cell] * share)
 
     def place(self, w: Array, row: Rows) -> Array:
         """ξ at which the value is w, (n,), of the vectors `row`."""
-        cell, past, entry, bend = self._cell(1, w, row)
-        share = np.clip(past / self.rise[row, cell], 0.0, 1.0)
+        cell, offset, entry, bend = self._cell(1, w, row)
+        share = np.clip(offset / self.rise[row, cell], 0.0, 1.0)
         b = entry - share * bend
         root = np.sqrt(np.maximum(b * b + 4.0 * (1.0 - b) * share, 0.0))
         stable = 2.0 * share / np.maximum(b + root, 1e-300)
-        at = np.where(b >= 0, stable, (root - b) / np.maximum(2.0 - 2.0 * b, 1.0))
-        return np.asarray(self.knots[0, row, cell] + self.length[row, cell] * at)
+        t = np.where(b >= 0, stable, (root - b) / np.maximum(2.0 - 2.0 * b, 1.0))
+        return np.asarray(self.knots[0, row, cell] + self.length[row, cell] * t)
 
     def _cell(self, axis: int, values: Array, row: Rows) -> tuple[Rows, Array, Array, Array]:
         """Cells of values of ξ or w, the way from their start, and their `entry` and `bend`."""
-        found = np.searchsorted(self._keys[axis], _key(values, row), side="right") - 1
+        index = np.searchsorted(self._keys[axis], _key(values, row), side="right") - 1
         knots = self.knots.shape[2]
-        cell = np.clip(found - row * knots, 0, knots - 2)
-        past = values - self.knots[axis, row, cell]
-        return cell, past, self.entry[row, cell], self.bend[row, cell]
+        cell = np.clip(index - row * knots, 0, knots - 2)
+        offset = values - self.knots[axis, row, cell]
+        return cell, offset, self.entry[row, cell], self.bend[row, cell]
 
     @cached_property
     def _keys(self) -> Array:
@@ -133,17 +135,20 @@ def _key(values: Array, row: Rows) -> Array:
 
 
 def strength_of(
-    c: Mapping[str, Any], forward: bool | NDArray[np.bool_], before: Columns, after: Columns
+    c: Mapping[str, Any],
+    forward: bool | NDArray[np.bool_],
+    start_scales: Columns,
+    end_scales: Columns,
 ) -> Array:
     """F_y of a step between two samples, with the sign of its direction, (n,), kip."""
-    shares = (0.5 * (before.get(name, 1.0) + after.get(name, 1.0)) for name in ACTUATED)
-    ahead, back = (c[k] * np.maximum(s, FLOOR) for k, s in zip(ACTUATED, shares, strict=True))
-    return np.asarray(np.where(forward, ahead, -back))
+    shares = (0.5 * (start_scales.get(name, 1.0) + end_scales.get(name, 1.0)) for name in ACTUATED)
+    fwd, bwd = (c[k] * np.maximum(s, FLOOR) for k, s in zip(ACTUATED, shares, strict=True))
+    return np.asarray(np.where(forward, fwd, -bwd))
 
 
 def advanced(c: Mapping[str, Any], row: Rows, strength: Array, z: Array, way: Array) -> Array:
     """Force z, (…, n), kip, after distances `way` in the direction of `strength`'s sign."""
-    curve: Curve = c["curve"]
+    curve: EnergyCurve = c["curve"]
     xi = curve.move(curve.place(z / strength, row), c["k"] / np.abs(strength) * way, row)
     return curve.value(xi, row) * strength
 
@@ -170,7 +175,7 @@ class BoucWen(Model):
 
     Every change of direction is a turn. A turn between samples has its vertex as in
     `Trace.path`, so that the force does not depend on the trace's hysteresis. Between turns
-    z/F_y depends on k |x − x_turn|/F_y alone and is taken from a `Curve`.
+    z/F_y depends on k |x − x_turn|/F_y alone and is taken from a `EnergyCurve`.
     """
 
     name = "bouc_wen"
@@ -184,23 +189,23 @@ class BoucWen(Model):
     def compute_force(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
         """Force at the samples, (T, n), kip."""
         n = start.size
-        given: dict[str, Any] = {**c, "curve": Curve.of(c)}
+        constants: dict[str, Any] = {**c, "curve": EnergyCurve.of(c)}
         row = np.arange(n)
         _, x, nearest, samples = through_vertices(trace)
         z = np.zeros((x.size, n))
-        for begin, end, forward in _stretches(x, PIECE // max(n, 1), each=bool(factors)):
+        for begin, end, forward in _stretches(x, PIECE // max(n, 1), single=bool(factors)):
             way = np.abs(x[begin:end, None] - x[begin - 1])
-            before, after = (
+            start_scales, end_scales = (
                 {name: f[nearest[i]] for name, f in factors.items()} for i in (begin - 1, begin)
             )
-            strength = strength_of(c, forward, before, after)
-            z[begin:end] = advanced(given, row, strength, z[begin - 1], way)
+            strength = strength_of(c, forward, start_scales, end_scales)
+            z[begin:end] = advanced(constants, row, strength, z[begin - 1], way)
         moved = trace.displacement[:, None] - trace.displacement[0]
         return total_force(c, z[samples], moved, trace.velocity[:, None])
 
     def constants(self, c: Columns) -> dict[str, Any]:
         """Columns and the curve of z."""
-        return c | {"curve": Curve.of(c), "row": np.arange(c["k"].size)}
+        return c | {"curve": EnergyCurve.of(c), "row": np.arange(c["k"].size)}
 
     def begin(self, state: State, start: Array, direction: Array | None) -> Columns:
         """No force, and the displacement that α k counts from."""
@@ -213,8 +218,8 @@ class BoucWen(Model):
         c, z = state.constants, state.memory["z"]
         way = displacement - state.displacement
         strength = strength_of(c, way > 0.0, state.scales, scales)
-        after = advanced(c, c["row"], strength, z, np.abs(way))
-        return state.memory | {"z": np.where(way == 0.0, z, after)}
+        z_next = advanced(c, c["row"], strength, z, np.abs(way))
+        return state.memory | {"z": np.where(way == 0.0, z, z_next)}
 
     def total(self, state: State) -> Array:
         """F, (n,), kip."""
@@ -222,19 +227,19 @@ class BoucWen(Model):
         return total_force(state.constants, state.memory["z"], moved, state.velocity)
 
 
-def _stretches(x: Array, most: int, *, each: bool) -> list[tuple[int, int, bool]]:
-    """Ranges of at most `most` steps in one direction: first row, row after the last, forward.
+def _stretches(x: Array, limit: int, *, single: bool) -> list[tuple[int, int, bool]]:
+    """Ranges of at most `limit` steps in one direction: first row, row after the last, forward.
 
     Steps of zero length belong to the range before them; at the start they are left out.
-    With `each` every step that moves is a range of its own.
+    With `single` every step that moves is a range of its own.
     """
     sign = np.sign(np.diff(x))
     moving = np.flatnonzero(sign)
-    new = np.diff(sign[moving], prepend=0.0) != 0
-    length = max(sign.size if each else most, 1)
-    edges = [*(moving if each else moving[new]).tolist(), sign.size]
+    turns = np.diff(sign[moving], prepend=0.0) != 0
+    length = max(sign.size if single else limit, 1)
+    edges = [*(moving if single else moving[turns]).tolist(), sign.size]
     return [
-        (begin + 1, min(begin + length, end) + 1, bool(sign[first] > 0))
-        for first, end in pairwise(edges)
-        for begin in range(first, end, length)
+        (begin + 1, min(begin + length, end) + 1, bool(sign[start] > 0))
+        for start, end in pairwise(edges)
+        for begin in range(start, end, length)
     ]

@@ -31,10 +31,10 @@ def named_columns(values: Mapping[str, ArrayLike], names: Iterable[str]) -> dict
     if isinstance(values, type) or not hasattr(values, "keys"):
         kind = type(values).__name__
         raise FitError(f"values must be a mapping from names of quantities to numbers, got {kind}")
-    needed = tuple(names)
-    if missing := [name for name in needed if name not in values]:
+    required = tuple(names)
+    if missing := [name for name in required if name not in values]:
         raise FitError(f"values by name lack {', '.join(missing)}")
-    return {name: real_numbers(name, values[name], FitError) for name in needed}
+    return {name: real_numbers(name, values[name], FitError) for name in required}
 
 
 def named_vectors(values: Mapping[str, ArrayLike], names: Iterable[str]) -> dict[str, Array]:
@@ -141,10 +141,10 @@ class Model:
     quantities: ClassVar[tuple[Quantity, ...]] = ()
     positive: ClassVar[frozenset[str]] = frozenset()
     has_gap: ClassVar[bool] = False
-    keeps_prior: ClassVar[tuple[str, ...]] = ()
+    nonidentifiable: ClassVar[tuple[str, ...]] = ()
     laws: ClassVar[Mapping[str, str]] = _NONE
     laws_from: ClassVar[Mapping[str, str]] = _NONE
-    tied_laws: ClassVar[Mapping[str, str]] = _NONE
+    shared_laws: ClassVar[Mapping[str, str]] = _NONE
     slip_forces: ClassVar[tuple[str, ...]] = ()
     source: ClassVar[str] = ""
 
@@ -154,36 +154,39 @@ class Model:
     def __init_subclass__(cls) -> None:
         """Read what the class declares; its `force`, `start` and `step` are called by ours."""
         super().__init_subclass__()
-        given = dict(vars(cls))
-        where = _where(cls)
+        namespace = dict(vars(cls))
+        label = _where(cls)
         for key, default in (("motion", DAMPER.motion), ("response", DAMPER.response)):
-            if key in given:
+            if key in namespace:
                 try:
-                    setattr(cls, key, axis_of(given[key], default))
+                    setattr(cls, key, axis_of(namespace[key], default))
                 except UnitError as error:
-                    raise FitError(f"{where}, {key}: {error}") from error
+                    raise FitError(f"{label}, {key}: {error}") from error
         if cls.motion.name == cls.response.name:
-            raise FitError(f"{where}: motion and response are both {cls.motion.name!r}")
-        if "quantities" in given:
-            cls.parameters = given.get("parameters", tuple(q.name for q in cls.quantities))
-        elif "parameters" in given and not isinstance(given["parameters"], property):
-            _declare(cls, given["parameters"], where)
-        own: dict[str, Any] = {n: given[n] for n in ("force", "start", "step") if n in given}
+            raise FitError(f"{label}: motion and response are both {cls.motion.name!r}")
+        if "quantities" in namespace:
+            cls.parameters = namespace.get("parameters", tuple(q.name for q in cls.quantities))
+        elif "parameters" in namespace and not isinstance(namespace["parameters"], property):
+            _declare(cls, namespace["parameters"], label)
+        functions: dict[str, Any] = {
+            n: namespace[n] for n in ("force", "start", "step") if n in namespace
+        }
         parent: type[Any] = cls.__mro__[1]
         ours = parent.compute_force is not Model.compute_force  # it has no functions of a user's
-        if own and (ours or not all(map(callable, own.values()))):
+        if functions and (ours or not all(map(callable, functions.values()))):
             raise FitError(
-                f"{where}: {next(iter(own))} must be a function of a class on top of Model; one "
+                f"{label}: {next(iter(functions))} must be a function of a class on top of "
+                "Model; one "
                 f"on top of {parent.__name__} gives compute_force, begin, advance and total"
             )
-        cls.own = {**cls.own, **own}
-        for name in own:
+        cls.own = {**cls.own, **functions}
+        for name in functions:
             delattr(cls, name)
 
     @property
     def actuated(self) -> tuple[str, ...]:
         """Parameters that `scales` may hold: those that follow the actuation."""
-        return (*self.laws, *self.tied_laws)
+        return (*self.laws, *self.shared_laws)
 
     @cached_property
     def standard_names(self) -> frozenset[str]:
@@ -233,14 +236,14 @@ class Model:
         """
         return self._finite("force", theta, trace, start, scales)
 
-    def check_force(self, theta: Array, beside: Array, trace: Trace) -> None:
+    def check_force(self, theta: Array, shifted: Array, trace: Trace) -> None:
         """Refuse a force that is no smooth function of one parameter vector alone.
 
         Parameters
         ----------
         theta : (n, p)
             Different vectors; that of the first must give finite numbers.
-        beside : (n, p)
+        shifted : (n, p)
             The same, a little changed.
         trace : Trace
 
@@ -256,27 +259,27 @@ class Model:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 return self.force_unbounded(rows, trace)
 
-        first, again = force(theta), force(theta)
-        turned, alone = (
+        base, again = force(theta), force(theta)
+        turned, single = (
             force(theta[::-1])[::-1],
             np.concatenate([force(row[None]) for row in theta]),
         )
-        size = np.max(np.abs(first), axis=1, keepdims=True, where=np.isfinite(first), initial=0.0)
+        size = np.max(np.abs(base), axis=1, keepdims=True, where=np.isfinite(base), initial=0.0)
         state = "for the same parameters: it must not keep a state or draw random numbers"
         row = "every row of theta must be computed by itself"
-        for other, share, wrong in (
+        for result, share, wrong in (
             (again, REPEATED, state),
             (turned, ROWS, f"where the rows of theta stand in another order: {row}"),
-            (alone, ROWS, f"where a row of theta stands alone: {row}"),
+            (single, ROWS, f"where a row of theta stands alone: {row}"),
             (force(theta), REPEATED, state),
         ):
-            if not np.all(np.isclose(other, first, 0.0, share * size, equal_nan=True)):
+            if not np.all(np.isclose(result, base, 0.0, share * size, equal_nan=True)):
                 raise FitError(f"{self.where} gives another force {wrong}")
-        ends = (f(first, axis=1, keepdims=True) for f in (np.min, np.max))
-        between = np.all([first != end for end in (0.0, *ends)], axis=0)  # a limit may be fixed
-        masks = between, first != 0.0, np.ones(first.shape, dtype=bool)
+        ends = (f(base, axis=1, keepdims=True) for f in (np.min, np.max))
+        interior = np.all([base != end for end in (0.0, *ends)], axis=0)  # a limit may be fixed
+        masks = interior, base != 0.0, np.ones(base.shape, dtype=bool)
         telling = next(mask for mask in masks if mask.any())
-        if np.mean((force(beside) != first)[telling]) < STEPPED:
+        if np.mean((force(shifted) != base)[telling]) < STEPPED:
             raise FitError(
                 f"{self.where} gives the same force for parameters that differ by "
                 f"{BESIDE:.2%}: it must not round, or cast to whole numbers"
@@ -313,20 +316,20 @@ class Model:
 
     def start_at(
         self,
-        place: Array,
+        position: Array,
         trace: Trace,
-        before: ArrayLike | None = None,
+        previous_theta: ArrayLike | None = None,
         theta: ArrayLike | None = None,
     ) -> Array:
         """`start` of a motion that begins at a place in the gap, as `end` has it, (n,), 1.
 
-        `before` and `theta`, (n, p), are the parameters of the motion that ended there and of
-        `trace`, which begins, where they differ.
+        `previous_theta` and `theta`, (n, p), are the parameters of the motion that ended there
+        and of `trace`, which begins, where they differ.
         """
-        return place
+        return position
 
     def _computed(
-        self, what: str, theta: ArrayLike, trace: Trace, start: ArrayLike | None, scales: Scales
+        self, kind: str, theta: ArrayLike, trace: Trace, start: ArrayLike | None, scales: Scales
     ) -> Array:
         """The force, travel or end of every vector, (n, …)."""
         check_trace("trace", trace, FitError)
@@ -344,24 +347,26 @@ class Model:
             level = np.asarray(trace.actuation)[:, None]
             factors = self.proportional(level, trace.reference_actuation)
         if n == 0:
-            return np.empty(0 if what == "end" else (0, trace.samples))
-        values: Array = getattr(self, f"compute_{what}")(c, trace, w0, factors)
+            return np.empty(0 if kind == "end" else (0, trace.samples))
+        values: Array = getattr(self, f"compute_{kind}")(c, trace, w0, factors)
         return values.T
 
-    def _finite(self, what: str, *args: Any) -> Array:
+    def _finite(self, kind: str, *args: Any) -> Array:
         """As `_computed`, if all of it is finite."""
         try:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                values = self._computed(what, *args)
+                values = self._computed(kind, *args)
         except (ArithmeticError, IndexError) as error:  # of a place that is not a number
-            message = f"the {what} is no finite number for these parameters"
+            message = f"the {kind} is no finite number for these parameters"
             raise FitError(message) from error
         finite = np.isfinite(values)
         if not finite.all():
-            at = self.vectors(args[0])[np.argwhere(~finite)[0, 0]]
-            given = ", ".join(f"{n} = {v:.4g}" for n, v in zip(self.parameters, at, strict=True))
+            vector = self.vectors(args[0])[np.argwhere(~finite)[0, 0]]
+            listing = ", ".join(
+                f"{n} = {v:.4g}" for n, v in zip(self.parameters, vector, strict=True)
+            )
             of = f" of {self.where}" if self.own else ""
-            raise FitError(f"the {what}{of} is no finite number with {given}")
+            raise FitError(f"the {kind}{of} is no finite number with {listing}")
         return values
 
     # --- what a model computes: columns (n,), place in the gap (n,), factors (T, n) or (T, 1)
@@ -371,8 +376,8 @@ class Model:
         if "force" not in self.own:
             raise FitError(f"{self.where} has no force")
         theta = np.stack([c[name] for name in self.parameters], axis=1)
-        along = {name: factors.get(name, np.ones((1, 1))).T for name in self.actuated}
-        options = {"start": start, "scales": along}
+        scales = {name: factors.get(name, np.ones((1, 1))).T for name in self.actuated}
+        options = {"start": start, "scales": scales}
         force = self._call("force", theta, trace, varies=bool(factors), **options)
         return self._checked("force", force, (start.size, trace.samples)).T
 
@@ -428,16 +433,16 @@ class Model:
         """Theta's columns by name, (n,) each, within the limits of their quantities."""
         values = np.array(self.vectors(theta).T, order="C")  # not the caller's
         columns = dict(zip(self.parameters, values, strict=True))
-        limits = {quantity.name: (quantity.least, quantity.most) for quantity in self.quantities}
+        limits = {quantity.name: (quantity.lower, quantity.upper) for quantity in self.quantities}
         ends = np.array([limits.get(name, LIMITS["real"]) for name in columns])
         zero = np.array([name in self.positive for name in columns])
-        good = (values >= ends[:, :1]) & (values <= ends[:, 1:]) & np.isfinite(values)
-        good &= ~(zero[:, None] & (values == 0.0))
-        if not good.all():
-            row, vector = np.argwhere(~good)[0]
-            least, most = ends[row]
-            span = f" and at least {least:g}" if np.isfinite(least) else ""
-            span = f" and in [{least:g}, {most:g}]" if np.isfinite(most) else span
+        valid = (values >= ends[:, :1]) & (values <= ends[:, 1:]) & np.isfinite(values)
+        valid &= ~(zero[:, None] & (values == 0.0))
+        if not valid.all():
+            row, vector = np.argwhere(~valid)[0]
+            low, high = ends[row]
+            span = f" and at least {low:g}" if np.isfinite(low) else ""
+            span = f" and in [{low:g}, {high:g}]" if np.isfinite(high) else span
             span = " and positive" if zero[row] else span
             name, value = self.parameters[row], values[row, vector]
             raise FitError(f"parameter {name} must be finite{span}, got {value}")
@@ -489,7 +494,7 @@ class Model:
             memory["direction"] = np.broadcast_to(way.astype(np.float64), (n,))
         if reference_actuation is not None:
             reference_actuation = real_number(
-                "reference_actuation", reference_actuation, FitError, (0.0, inf), inside=True
+                "reference_actuation", reference_actuation, FitError, (0.0, inf), exclusive=True
             )
         nowhere = np.full(n, np.nan)
         return State(self, constants, memory, nowhere, np.zeros(n), {}, reference_actuation)
@@ -541,7 +546,7 @@ class Model:
         n = state.displacement.size
         x = np.full(n, real_number("displacement of a step", displacement, FitError))
         v = np.full(n, real_number("velocity of a step", velocity, FitError))
-        dt = real_number("dt of a step", dt, FitError, (0.0, inf), inside=state.begun)
+        dt = real_number("dt of a step", dt, FitError, (0.0, inf), exclusive=state.begun)
         factors: Columns = {}
         if actuation is not None:
             level = real_number("actuation of a step", actuation, FitError, (0.0, inf))
@@ -549,8 +554,8 @@ class Model:
             if level != state.reference:
                 factors = self.proportional(np.full(n, level), state.reference)
         if scales is not None:
-            own = _factors(scales, ((), (1,), (n,)), self.actuated)
-            factors = {name: np.broadcast_to(f, (n,)).copy() for name, f in own.items()}
+            checked = _factors(scales, ((), (1,), (n,)), self.actuated)
+            factors = {name: np.broadcast_to(f, (n,)).copy() for name, f in checked.items()}
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             state = state.step(x, v, dt, factors)
             return state.force, state
@@ -569,8 +574,8 @@ class Model:
         theta = np.stack([state.constants[name] for name in self.parameters], axis=1)
         memory = self._call("start", theta) if "start" in self.own else {}
         state = replace(state, memory=self._memory(memory, start.size))
-        still = np.zeros(start.size)
-        return self.advance(state, state.displacement, state.velocity, still, state.scales)
+        dt = np.zeros(start.size)
+        return self.advance(state, state.displacement, state.velocity, dt, state.scales)
 
     def advance(
         self, state: State, displacement: Array, velocity: Array, dt: Array, scales: Columns
@@ -578,8 +583,8 @@ class Model:
         """Memory after a straight way of each damper to a sample, all (n,)."""
         n = displacement.size
         factors = {name: scales.get(name, np.ones(n)) for name in self.actuated}
-        before = {name: value for name, value in state.memory.items() if name != _FORCE}
-        args = before, displacement, velocity, dt
+        memory = {name: value for name, value in state.memory.items() if name != _FORCE}
+        args = memory, displacement, velocity, dt
         answer = self._call("step", *args, varies=bool(scales), scales=factors)
         if not (isinstance(answer, tuple) and len(answer) == 2):
             raise FitError(f"the step of {self.where} must give the force and the new state")
@@ -599,9 +604,9 @@ class Model:
                 f"the actuation changes, and the {name} of {self.where} does not take scales, the "
                 f"factors of {', '.join(self.actuated)}"
             )
-        taken = {key: value for key, value in options.items() if _takes(function, key)}
+        accepted = {key: value for key, value in options.items() if _takes(function, key)}
         try:
-            return function(self, *args, **taken)
+            return function(self, *args, **accepted)
         except MfdError:
             raise
         except (Exception, SystemExit) as error:  # nor may it end the command in silence
@@ -628,12 +633,12 @@ class Model:
             raise FitError(f"the state of {self.where} must be a dict of arrays (…, {n})")
         checked = {}
         for key, values in memory.items():
-            what = f"{key} in the state of {self.where}"
-            checked[str(key)] = numbers = real_numbers(what, values, FitError).view()
+            label = f"{key} in the state of {self.where}"
+            checked[str(key)] = numbers = real_numbers(label, values, FitError).view()
             numbers.flags.writeable = False  # a step leaves the old state as it is
             if numbers.shape[-1:] != (n,):
                 raise FitError(
-                    f"{what} must have {n} values on its last axis, one for each damper; got the "
+                    f"{label} must have {n} values on its last axis, one for each damper; got the "
                     f"shape {numbers.shape}"
                 )
         return checked
@@ -691,25 +696,25 @@ class State:
         """
         later = dict(scales or {})
         if not self.begun:
-            first = replace(self, displacement=displacement, velocity=velocity, scales=later)
+            initial = replace(self, displacement=displacement, velocity=velocity, scales=later)
             start, direction = self.memory["start"], self.memory.get("direction")
-            return replace(first, memory=self.model.begin(first, start, direction))
-        state, left = self, np.full(displacement.size, dt)
+            return replace(initial, memory=self.model.begin(initial, start, direction))
+        state, remaining = self, np.full(displacement.size, dt)
         (rows,) = (self.velocity * velocity < 0).nonzero()
         if rows.size:
             ends = self.displacement[rows], displacement[rows]
             share, vertex, regular = vertex_of_turn(dt, *ends, self.velocity[rows], velocity[rows])
             rows, share, vertex = rows[regular], share[regular], vertex[regular]
         if rows.size:
-            part = self.chosen(rows)
-            near = {
-                name: np.where(share < 0.5, part.scales.get(name, 1.0), factor[rows])
+            turning = self.chosen(rows)
+            vertex_scales = {
+                name: np.where(share < 0.5, turning.scales.get(name, 1.0), factor[rows])
                 for name, factor in later.items()
             }
-            part = part._moved(vertex, np.zeros(rows.size), share * dt, near)
-            state = self.replaced(rows, part)
-            left[rows] *= 1.0 - share
-        return state._moved(displacement, velocity, left, later)
+            turning = turning._moved(vertex, np.zeros(rows.size), share * dt, vertex_scales)
+            state = self.replaced(rows, turning)
+            remaining[rows] *= 1.0 - share
+        return state._moved(displacement, velocity, remaining, later)
 
     def _moved(self, displacement: Array, velocity: Array, dt: Array, scales: Columns) -> Self:
         """State after a straight way of each damper, in its own time, (n,) s."""
@@ -721,33 +726,33 @@ class State:
     def chosen(self, rows: Rows) -> Self:
         """The state of some of the dampers."""
 
-        def of(part: Mapping[str, Any]) -> dict[str, Any]:
-            return {k: v[..., rows] if isinstance(v, np.ndarray) else v for k, v in part.items()}
+        def of(arrays: Mapping[str, Any]) -> dict[str, Any]:
+            return {k: v[..., rows] if isinstance(v, np.ndarray) else v for k, v in arrays.items()}
 
-        place = self.displacement[rows], self.velocity[rows]
-        parts = of(self.constants), of(self.memory), *place, of(self.scales)
-        return type(self)(self.model, *parts, self.reference)
+        motion = self.displacement[rows], self.velocity[rows]
+        fields = of(self.constants), of(self.memory), *motion, of(self.scales)
+        return type(self)(self.model, *fields, self.reference)
 
-    def replaced(self, rows: Rows, part: Self) -> Self:
+    def replaced(self, rows: Rows, subset: Self) -> Self:
         """The same with the state of some of the dampers replaced, after the same samples.
 
         That is how only those are stepped again that are not in equilibrium yet.
         """
 
-        def with_rows(whole: Array, new: Array | float) -> Array:
-            whole = whole.copy()
-            whole[..., rows] = new
-            return whole
+        def with_rows(array: Array, values: Array | float) -> Array:
+            array = array.copy()
+            array[..., rows] = values
+            return array
 
-        one = np.ones(self.displacement.size)
+        ones = np.ones(self.displacement.size)
         return replace(
             self,
-            memory={k: with_rows(v, part.memory[k]) for k, v in self.memory.items()},
-            displacement=with_rows(self.displacement, part.displacement),
-            velocity=with_rows(self.velocity, part.velocity),
+            memory={k: with_rows(v, subset.memory[k]) for k, v in self.memory.items()},
+            displacement=with_rows(self.displacement, subset.displacement),
+            velocity=with_rows(self.velocity, subset.velocity),
             scales={
-                k: with_rows(self.scales.get(k, one), part.scales.get(k, 1.0))
-                for k in {**self.scales, **part.scales}
+                k: with_rows(self.scales.get(k, ones), subset.scales.get(k, 1.0))
+                for k in {**self.scales, **subset.scales}
             },
         )
 
@@ -763,12 +768,12 @@ def _where(cls: type) -> str:
         return f"class {cls.__name__}"
 
 
-def _declare(cls: type[Model], declared: Any, where: str) -> None:
+def _declare(cls: type[Model], declared: Any, label: str) -> None:
     """Turn a class's parameters into quantities, laws and names."""
     listed = isinstance(declared, Sequence) and not isinstance(declared, str)
     if not (listed and declared and all(isinstance(p, Parameter) for p in declared)):
         raise FitError(
-            f"{where}: parameters must be a tuple of Parameter, such as "
+            f"{label}: parameters must be a tuple of Parameter, such as "
             f"(Parameter('k', 'kip/in'),), got {declared!r:.60}"
         )
     names = tuple(parameter.name for parameter in declared)
@@ -790,12 +795,12 @@ def _declare(cls: type[Model], declared: Any, where: str) -> None:
         except UnitError as error:
             wrong = wrong or str(error)
         if wrong:
-            raise FitError(f"{where}, parameter {p.name!r}: {wrong}")
+            raise FitError(f"{label}, parameter {p.name!r}: {wrong}")
     cls.parameters, cls.quantities = names, tuple(parameter.quantity for parameter in declared)
     if not Axes(cls.motion, cls.response).of_damper:
         # "in" and "kip" would be those of motion and response
         cls.quantities = tuple(
-            replace(q, kind=q.kind if (own := in_place_of(q.unit, OTHERS)) == q.unit else own)
+            replace(q, kind=q.kind if (unit := in_place_of(q.unit, OTHERS)) == q.unit else unit)
             for q in cls.quantities
         )
     cls.laws = {parameter.name: parameter.law for parameter in declared if parameter.law}
@@ -804,8 +809,8 @@ def _declare(cls: type[Model], declared: Any, where: str) -> None:
 @cache
 def _takes(function: Callable[..., Any], name: str) -> bool:
     """Whether a function takes an argument of that name."""
-    taken = inspect.signature(function).parameters
-    return name in taken or any(p.kind is p.VAR_KEYWORD for p in taken.values())
+    parameters = inspect.signature(function).parameters
+    return name in parameters or any(p.kind is p.VAR_KEYWORD for p in parameters.values())
 
 
 # --- arguments
@@ -846,12 +851,12 @@ def through_vertices(trace: Trace) -> tuple[Array, Array, Rows, Rows]:
     Time, s, and displacement, in, (P,); the sample of the trace at or beside each, (P,); and which
     of them are the trace's, (T,).
     """
-    t, x, every = trace.time, trace.displacement, np.arange(trace.samples)
-    left, share, vertex = vertices(t, x, trace.velocity)
-    at = left + 1
+    t, x, samples = trace.time, trace.displacement, np.arange(trace.samples)
+    index, share, vertex = vertices(t, x, trace.velocity)
+    position = index + 1
     return (
-        np.insert(t, at, t[left] + share * (t[at] - t[left])),
-        np.insert(x, at, vertex),
-        np.insert(every, at, np.where(share < 0.5, left, at)),
-        every + np.searchsorted(at, every, side="right"),
+        np.insert(t, position, t[index] + share * (t[position] - t[index])),
+        np.insert(x, position, vertex),
+        np.insert(samples, position, np.where(share < 0.5, index, position)),
+        samples + np.searchsorted(position, samples, side="right"),
     )

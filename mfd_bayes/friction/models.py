@@ -76,16 +76,16 @@ class _Source(SourceFileLoader):
 
 def _of_file(name: str, folder: Path | None) -> Model:
     """Model of "file.py:Class"."""
-    file, _, wanted = name.rpartition(":") if not name.endswith(".py") else (name, "", "")
+    file, _, class_name = name.rpartition(":") if not name.endswith(".py") else (name, "", "")
     path = (folder or Path()) / file
     try:
-        inside = folder is None or path.resolve().is_relative_to(folder.resolve())
-        there = path.is_file()
+        is_inside = folder is None or path.resolve().is_relative_to(folder.resolve())
+        exists = path.is_file()
     except (OSError, RuntimeError, ValueError) as error:
         raise FitError(f"the model's file {file!r} cannot be found: {error}") from error
-    if not inside:
+    if not is_inside:
         raise FitError(f"the model's file {file!r} lies outside the campaign's folder, {folder}")
-    if not there:
+    if not exists:
         raise FitError(f"there is no file {path} for the model {name!r}")
     path = path.resolve()
     module_name = f"{path.stem}_{sha256(str(path).encode()).hexdigest()[:12]}"
@@ -103,32 +103,34 @@ def _of_file(name: str, folder: Path | None) -> Model:
     except (Exception, SystemExit) as error:
         kind, line = type(error).__name__, _line(error, path)
         raise FitError(f"the model's file {path.name} failed{line} with {kind}: {error}") from error
-    own = [
+    classes = [
         key
         for key, value in vars(module).items()
         if isinstance(value, type) and issubclass(value, Model) and value.__module__ == module_name
     ]
-    if not wanted or not hasattr(module, wanted):
-        lack = f"there is no class {wanted} in" if wanted else "say which class of"
-        has = f"it has {', '.join(own)}" if own else "it has no subclass of mfd_bayes.Model"
+    if not class_name or not hasattr(module, class_name):
+        lack = f"there is no class {class_name} in" if class_name else "say which class of"
+        has = f"it has {', '.join(classes)}" if classes else "it has no subclass of mfd_bayes.Model"
         raise FitError(f"{lack} {path.name}: expected {path.name}:MyClass; {has}")
-    return _made(getattr(module, wanted), f"{wanted} in {path.name}", f"{path}:{wanted}")
+    return _made(
+        getattr(module, class_name), f"{class_name} in {path.name}", f"{path}:{class_name}"
+    )
 
 
-def _made(cls: Any, where: str, source: str) -> Model:
+def _made(cls: Any, label: str, source: str) -> Model:
     """The model of a class, checked."""
     if not (isinstance(cls, type) and issubclass(cls, Model) and cls is not Model):
-        raise FitError(f"{where} must be a class on top of mfd_bayes.Model")
+        raise FitError(f"{label} must be a class on top of mfd_bayes.Model")
     for name, example in (("name", "'viscous'"), ("quantities", "(Parameter('k', 'kip/in'),)")):
         if not getattr(cls, name, ""):
-            what = "parameters" if name == "quantities" else name
-            raise FitError(f"{where} needs {what}, such as {example}")
+            missing = "parameters" if name == "quantities" else name
+            raise FitError(f"{label} needs {missing}, such as {example}")
     if not (isinstance(cls.name, str) and re.fullmatch(r"[A-Za-z]\w*", cls.name)):
-        raise FitError(f"{where}: its name must be a word, got {cls.name!r:.60}")
+        raise FitError(f"{label}: its name must be a word, got {cls.name!r:.60}")
     if cls.name in MODELS and type(MODELS[cls.name]) is not cls:
-        raise FitError(f"{where}: its name {cls.name!r} is that of a model of mfd_bayes")
+        raise FitError(f"{label}: its name {cls.name!r} is that of a model of mfd_bayes")
     if "force" not in cls.own and cls.compute_force is Model.compute_force:
-        raise FitError(f"{where} needs a function force(self, theta, trace)")
+        raise FitError(f"{label} needs a function force(self, theta, trace)")
     cls.source = source
     if ".py:" in source:
         setattr(cls, "__reduce__", _reduced)  # noqa: B010  # another process reads the file again
@@ -136,7 +138,7 @@ def _made(cls: Any, where: str, source: str) -> Model:
         return cls()
     except (Exception, SystemExit) as error:
         kind = type(error).__name__
-        raise FitError(f"{where} cannot be made without arguments: {kind}: {error}") from error
+        raise FitError(f"{label} cannot be made without arguments: {kind}: {error}") from error
 
 
 def _reduced(model: Model) -> tuple[Any, ...]:

@@ -31,7 +31,7 @@ class Quantity:
         Its symbol in LaTeX's mathematics.
     meaning : str
         What it is, in a few words.
-    least, most : float, in its unit
+    lower, upper : float, in its unit
         Values that it can have; a prior must not allow others.
     sampled : bool
         Whether it has a prior of its own; if not, it is computed from others that have.
@@ -43,8 +43,8 @@ class Quantity:
     kind: str
     maths: str
     meaning: str
-    least: float = 0.0
-    most: float = np.inf
+    lower: float = 0.0
+    upper: float = np.inf
     sampled: bool = True
     pooled: bool = True
 
@@ -91,13 +91,13 @@ class Parameter:
     @property
     def law(self) -> str:
         """Law by which it follows the actuation; empty where it does not."""
-        given = self.follows_actuation
-        return "proportional" if given is True else str(given or "")
+        option = self.follows_actuation
+        return "proportional" if option is True else str(option or "")
 
     @property
     def quantity(self) -> Quantity:
         """The quantity that it is; theta holds it in the unit that is given here."""
-        least, most = LIMITS[self.prior]
+        lower, upper = LIMITS[self.prior]
         kinds = {dimension.unit: kind for kind, dimension in DIMENSIONS.items()}
         maths = self.symbol or (self.name if len(self.name) == 1 else rf"\mathrm{{{self.name}}}")
         return Quantity(
@@ -105,8 +105,8 @@ class Parameter:
             kinds.get(self.unit, self.unit),
             maths,
             self.meaning or self.name,
-            least,
-            most,
+            lower,
+            upper,
         )
 
 
@@ -167,15 +167,19 @@ _QUANTITIES = (
     Quantity("k_bwd", "stiffness", r"k_\mathrm{bwd}", "stiffness beyond the gap, backward"),
     Quantity("gap", "displacement", "D", "width of the gap"),
     Quantity("k_0", "stiffness", "k_0", "stiffness inside the gap"),
-    Quantity("n", "dimensionless", "n", "how sharply slip sets in", least=1.0),
+    Quantity("n", "dimensionless", "n", "how sharply slip sets in", lower=1.0),
     Quantity("k", "stiffness", "k", "stiffness of Bouc-Wen hysteresis"),
     Quantity(
-        "alpha", "dimensionless", r"\alpha", "share of the stiffness that remains in slip", most=1.0
+        "alpha",
+        "dimensionless",
+        r"\alpha",
+        "share of the stiffness that remains in slip",
+        upper=1.0,
     ),
     Quantity("Fy_fwd", "force", r"F_{y,\mathrm{fwd}}", "yield force, forward"),
     Quantity("Fy_bwd", "force", r"F_{y,\mathrm{bwd}}", "yield force, backward"),
-    Quantity("beta", "dimensionless", r"\beta", "shape of the unloading", least=0.5, most=1.0),
-    Quantity("exponent", "dimensionless", "n", "sharpness of the knee", least=1.0),
+    Quantity("beta", "dimensionless", r"\beta", "shape of the unloading", lower=0.5, upper=1.0),
+    Quantity("exponent", "dimensionless", "n", "sharpness of the knee", lower=1.0),
     Quantity("c", "damping", "c", "viscous damping of Bouc-Wen hysteresis"),
 )
 QUANTITIES: Mapping[str, Quantity] = MappingProxyType({q.name: q for q in _QUANTITIES})

@@ -46,33 +46,33 @@ PARAMETERS = (
 """All parameters of the MFD paper, in its order."""
 
 
-def solve(decay: Array, drive: Array, first: Array) -> Array:
+def solve(decay: Array, drive: Array, z0: Array) -> Array:
     """States z_k = decay_k z_{k−1} + drive_k after each of N steps, (N, n).
 
-    `decay` and `drive` are (N, n); `first`, (n,), is z before the first step. The steps are taken
+    `decay` and `drive` are (N, n); `z0`, (n,), is z before the first step. The steps are taken
     in blocks: a step in all of them at once, and then from block to block.
     """
     steps, n = decay.shape
     if steps <= SHORT:
-        states, last = drive.copy(), first
+        states, state = drive.copy(), z0
         for a, z in zip(decay, states, strict=True):
-            z += a * last
-            last = z
+            z += a * state
+            state = z
         return states
     length = round(1.3 * steps ** (1 / 3) if steps > SHORT**2 else steps**0.5)
     count = -(-steps // length)
     # (length, count, n): the j-th steps of all blocks together; what fills up the last one is 0
     a, z = np.zeros((2, length, count, n))
-    for blocks, given in ((a, decay), (z, drive)):
+    for blocks, source in ((a, decay), (z, drive)):
         by_block = blocks.swapaxes(0, 1)
-        by_block[:-1] = given[: (count - 1) * length].reshape(count - 1, length, n)
-        by_block[-1, : steps - (count - 1) * length] = given[(count - 1) * length :]
+        by_block[:-1] = source[: (count - 1) * length].reshape(count - 1, length, n)
+        by_block[-1, : steps - (count - 1) * length] = source[(count - 1) * length :]
     for j in range(1, length):
         z[j] += a[j] * z[j - 1]
         a[j] *= a[j - 1]
     # the last block is followed by none, so that its end does not matter
-    before = np.concatenate([first[None], solve(a[-1, :-1], z[-1, :-1], first)])
-    a *= before
+    starts = np.concatenate([z0[None], solve(a[-1, :-1], z[-1, :-1], z0)])
+    a *= starts
     z += a
     z = z.swapaxes(0, 1).reshape(-1, n)
     return np.asarray(z[:steps])
@@ -135,9 +135,9 @@ def limit_of(c: Mapping[str, Array], z: Array, steady: Array) -> Array:
     Under constant actuation σ0 |z|/g is at most the largest static over the least kinetic
     friction. Where the actuation fell while at rest, it is limited to that.
     """
-    most = np.maximum(np.maximum(c["Fs_fwd"], c["Fs_bwd"]), FLOOR)
-    most = most / np.maximum(np.minimum(c["Fc_fwd"], c["Fc_bwd"]), FLOOR)
-    limit: Array = np.minimum(1.0, most / np.maximum(np.abs(z / steady), 1e-300))
+    ratio = np.maximum(np.maximum(c["Fs_fwd"], c["Fs_bwd"]), FLOOR)
+    ratio = ratio / np.maximum(np.minimum(c["Fc_fwd"], c["Fc_bwd"]), FLOOR)
+    limit: Array = np.minimum(1.0, ratio / np.maximum(np.abs(z / steady), 1e-300))
     return limit
 
 
@@ -149,16 +149,16 @@ class PaperModel(Model):
     laws = MappingProxyType(
         {"Fc_fwd": "proportional", "Fc_bwd": "proportional", "sigma0": "affine"}
     )
-    tied_laws = MappingProxyType({static: kinetic for static, (kinetic, _) in STATIC.items()})
+    shared_laws = MappingProxyType({static: kinetic for static, (kinetic, _) in STATIC.items()})
 
     def theta(self, values: Mapping[str, Array]) -> Array:
         """Parameters in their order, (n, p): F_s = F_c (1 + excess), γ2 = ℓ γ1."""
-        known = named_vectors(values, [q.name for q in self.quantities if q.sampled])
+        columns = named_vectors(values, [q.name for q in self.quantities if q.sampled])
         for static, (kinetic, excess) in STATIC.items():
-            known[static] = known[kinetic] * (1.0 + known[excess])
+            columns[static] = columns[kinetic] * (1.0 + columns[excess])
         if "gamma2" in self.parameters:
-            known["gamma2"] = known["ell"] * known["gamma1"]
-        return np.stack([known[name] for name in self.parameters], axis=1)
+            columns["gamma2"] = columns["ell"] * columns["gamma1"]
+        return np.stack([columns[name] for name in self.parameters], axis=1)
 
     def columns(self, theta: ArrayLike) -> Columns:
         """Theta's columns by name, (n,) each; F_s ≥ F_c holds."""
@@ -192,10 +192,10 @@ class PaperModel(Model):
         for begin in range(0, samples, length):
             rows = slice(begin, begin + length)
             if factors:
-                at = np.arange(samples)[rows]
-                last = np.maximum(at - 1, 0)
-                now = c | {k: f[at] * c[k] for k, f in factors.items()}
-                mean = {k: 0.5 * (f[last] + f[at]) * c[k] for k, f in factors.items()}
+                index = np.arange(samples)[rows]
+                previous = np.maximum(index - 1, 0)
+                now = c | {k: f[index] * c[k] for k, f in factors.items()}
+                mean = {k: 0.5 * (f[previous] + f[index]) * c[k] for k, f in factors.items()}
                 curve = Curve.of(c | mean)
             way, rate, velocity = (a[rows, None] for a in (path.step, path.rate, path.velocity))
             steady = curve.steady(rate)
@@ -232,9 +232,9 @@ class PaperModel(Model):
         way = displacement - state.displacement
         varying = bool(scales or state.scales)
         if varying:
-            before, now = _at(c, state.scales), _at(c, scales)
+            previous, now = _at(c, state.scales), _at(c, scales)
             names = {*scales, *state.scales}
-            curve = Curve.of(c | {name: 0.5 * (before[name] + now[name]) for name in names})
+            curve = Curve.of(c | {name: 0.5 * (previous[name] + now[name]) for name in names})
         else:
             curve = Curve(c["kinetic"], c["excess"], c["rate"])
         rate = way / dt
@@ -322,8 +322,8 @@ class Gap(NamedTuple):
     @classmethod
     def begun(cls, c: Constants, displacement: Array, direction: Array, start: Array) -> Gap:
         """State before the first turning point; `start` is u/D along the first direction."""
-        behind = np.where(direction > 0.0, start, 1.0 - start)
-        edge = displacement - behind * c["width"]
+        share = np.where(direction > 0.0, start, 1.0 - start)
+        edge = displacement - share * c["width"]
         return cls.at(c, direction, edge, np.zeros(edge.shape))
 
 
@@ -344,7 +344,7 @@ def blend(c: Constants, side: Array, y: Array, carry: Array | float, slip: Array
     u = side * y
     u /= c["ell"]
     if c["sharp"]:
-        a, b = (np.exp(np.minimum(u - c[at], FARTHEST)) for at in ("early", "late"))
+        a, b = (np.exp(np.minimum(u - c[key], FARTHEST)) for key in ("early", "late"))
     r = np.maximum(np.minimum(u, FARTHEST, out=u), -SATURATED, out=u)
     np.exp(r, out=r)
     if not c["sharp"]:
@@ -373,38 +373,38 @@ def blend(c: Constants, side: Array, y: Array, carry: Array | float, slip: Array
     return np.asarray(force)
 
 
-def dragged(c: Constants, edge: Array, at: Array) -> Array:
+def shift_play(c: Constants, edge: Array, x: Array) -> Array:
     """Edge of the gap after a turn: motion beyond either end drags the gap along."""
-    return np.asarray(np.minimum(np.maximum(edge, at - c["width"]), at))
+    return np.asarray(np.minimum(np.maximum(edge, x - c["width"]), x))
 
 
-def left_over(
-    c: Constants, before: Gap, at: Array, slip: Array, direction: Array
+def residual_jump(
+    c: Constants, gap: Gap, x: Array, slip: Array, direction: Array
 ) -> tuple[Array, Array]:
     """Blended force before minus after a turn after slip, kip, without the carry; and its fading.
 
     After such a turn into `direction` the travel restarts at 0.
     """
-    y = at - before.origin
-    u = before.side * y
-    left = c["build_up"] * (slip - direction * c["jump"])
+    y = x - gap.origin
+    u = gap.side * y
+    jump = c["build_up"] * (slip - direction * c["jump"])
     soon = u < c["width"] + SATURATED * c["ell"]
     if soon.any():
-        left = np.where(soon, left + (blend(c, before.side, y, 0.0, slip) - slip), left)
-    return left, 1.0 - np.tanh(np.abs(u) / (2.0 * c["ell"]))
+        jump = np.where(soon, jump + (blend(c, gap.side, y, 0.0, slip) - slip), jump)
+    return jump, 1.0 - np.tanh(np.abs(u) / (2.0 * c["ell"]))
 
 
-def turned(c: Constants, before: Gap, at: Array, slip: Array, direction: Array) -> Gap:
+def turned(c: Constants, gap: Gap, x: Array, slip: Array, direction: Array) -> Gap:
     """State after a turn of each device at a displacement into a direction, (n,) each.
 
     After slip (u ≥ D or u ≤ 0) the travel restarts at 0, and the force before minus the force
     after that is carried on. Inside the gap nothing is reset, so that the force retraces.
     """
-    edge = dragged(c, before.edge, at)
-    slipped = (edge == at) | (edge == at - c["width"])
-    left, fading = left_over(c, before, at, slip, direction)
-    carry = np.where(slipped, fading * before.carry + left, before.carry)
-    return Gap.at(c, np.where(slipped, direction, before.side), edge, carry)
+    edge = shift_play(c, gap.edge, x)
+    slipped = (edge == x) | (edge == x - c["width"])
+    jump, fading = residual_jump(c, gap, x, slip, direction)
+    carry = np.where(slipped, fading * gap.carry + jump, gap.carry)
+    return Gap.at(c, np.where(slipped, direction, gap.side), edge, carry)
 
 
 def edges_along(
@@ -412,13 +412,13 @@ def edges_along(
 ) -> tuple[Gap, NDArray[np.bool_], Array]:
     """As `along`, without the carry; whether each turn ends a slip, and the directions after."""
     x = path.displacement[path.turning_points]
-    first = Gap.begun(c, path.displacement[0], np.full(start.size, float(path.direction)), start)
+    initial = Gap.begun(c, path.displacement[0], np.full(start.size, float(path.direction)), start)
     edge = np.empty((x.size + 1, start.size))
-    edge[0], beyond = first.edge, x[:, None] - c["width"]
-    for k, place in enumerate(x.tolist()):
-        np.maximum(edge[k], beyond[k], out=edge[k + 1])
-        np.minimum(edge[k + 1], place, out=edge[k + 1])
-    slipped = (edge[1:] == x[:, None]) | (edge[1:] == beyond)
+    edge[0], lower = initial.edge, x[:, None] - c["width"]
+    for k, turn in enumerate(x.tolist()):
+        np.maximum(edge[k], lower[k], out=edge[k + 1])
+        np.minimum(edge[k + 1], turn, out=edge[k + 1])
+    slipped = (edge[1:] == x[:, None]) | (edge[1:] == lower)
     direction = np.where(np.arange(x.size + 1) % 2, -1.0, 1.0)[:, None] * path.direction
     latest = np.zeros(edge.shape, dtype=np.intp)  # turn that set the side of each stretch
     np.multiply(slipped, np.arange(1, x.size + 1)[:, None], out=latest[1:])
@@ -435,10 +435,10 @@ def along(c: Constants, path: MotionPath, start: Array, slip: Array) -> Gap:
     gap, slipped, direction = edges_along(c, path, start)
     x = path.displacement[path.turning_points, None]
     if len(x):
-        before = Gap(*(column[:-1] for column in gap))
-        left, fading = left_over(c, before, x, slip, direction)
-        fading[~slipped], left[~slipped] = 1.0, 0.0
-        gap.carry[1:] = solve(fading, left, gap.carry[0])
+        previous = Gap(*(column[:-1] for column in gap))
+        jump, fading = residual_jump(c, previous, x, slip, direction)
+        fading[~slipped], jump[~slipped] = 1.0, 0.0
+        gap.carry[1:] = solve(fading, jump, gap.carry[0])
     return gap
 
 
@@ -450,7 +450,7 @@ class ThreeStage(PaperModel):
     parameters = PARAMETERS
     quantities = sampled_for(PARAMETERS)
     has_gap = True
-    keeps_prior = ("gamma1",)  # only ℓ = γ2/γ1 reaches the force
+    nonidentifiable = ("gamma1",)  # only ℓ = γ2/γ1 reaches the force
 
     def compute_force(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
         """Force at the samples, (T, n), kip."""
@@ -462,10 +462,10 @@ class ThreeStage(PaperModel):
         # elsewhere the force is F1: the carried force has faded, and the gap is crossed
         far = SATURATED * c["ell"]
         low, high = (gap.edge - far).min(axis=1), (gap.edge + (c["width"] + far)).max(axis=1)
-        (near,) = ((x >= low[stretch]) & (x <= high[stretch])).nonzero()
+        (index,) = ((x >= low[stretch]) & (x <= high[stretch])).nonzero()
         length = max(PIECE // n, 1)
-        for begin in range(0, near.size, length):
-            rows = near[begin : begin + length]
+        for begin in range(0, index.size, length):
+            rows = index[begin : begin + length]
             side, origin, carry = (a[stretch[rows]] for a in (gap.side, gap.origin, gap.carry))
             force[rows] = blend(c, side, x[rows, None] - origin, carry, force[rows])
         return force
@@ -476,8 +476,8 @@ class ThreeStage(PaperModel):
         From 0 to d2 + d3 the gap is crossed; beyond, the device slips.
         """
         gap, *_ = edges_along(gap_of(c), trace.path, start)
-        own = trace.path.stretch
-        return gap.side[own] * (trace.displacement[:, None] - gap.origin[own])
+        stretch = trace.path.stretch
+        return gap.side[stretch] * (trace.displacement[:, None] - gap.origin[stretch])
 
     def compute_end(self, c: Columns, trace: Trace, start: Array, factors: Columns) -> Array:
         """Place in the gap at the last sample, ½ + y/D, (n,), 1; see `Model.end`.
@@ -489,25 +489,25 @@ class ThreeStage(PaperModel):
         """
         c = gap_of(c)
         gap, *_ = edges_along(c, trace.path, start)
-        last = trace.path.displacement[-1]
-        width, edge = c["width"], dragged(c, gap.edge[-1], last)
-        place = np.divide(last - edge, width, out=np.full(edge.shape, 0.5), where=width > 0)
-        return np.asarray(np.clip(place, 0.0, 1.0))
+        x_end = trace.path.displacement[-1]
+        width, edge = c["width"], shift_play(c, gap.edge[-1], x_end)
+        position = np.divide(x_end - edge, width, out=np.full(edge.shape, 0.5), where=width > 0)
+        return np.asarray(np.clip(position, 0.0, 1.0))
 
     def start_at(
         self,
-        place: Array,
+        position: Array,
         trace: Trace,
-        before: ArrayLike | None = None,
+        previous_theta: ArrayLike | None = None,
         theta: ArrayLike | None = None,
     ) -> Array:
         """`start` of a motion at a place in the gap, (n,): it counts along its first direction."""
-        return place if trace.path.direction > 0 else 1.0 - place
+        return position if trace.path.direction > 0 else 1.0 - position
 
     def gap(self, values: Mapping[str, Array]) -> Array:
         """Width of the gap, D = d2 + d3, (n,), in."""
-        own = named_columns(values, ("d2", "d3"))
-        return own["d2"] + own["d3"]
+        columns = named_columns(values, ("d2", "d3"))
+        return columns["d2"] + columns["d3"]
 
     def stages(
         self, theta: ArrayLike, trace: Trace, start: ArrayLike | None = None
@@ -532,18 +532,20 @@ class ThreeStage(PaperModel):
     ) -> Columns:
         """Bristles after a straight way, and gaps of those that turned before it."""
         memory = super().advance(state, displacement, velocity, dt, scales)
-        back = memory["direction"] != state.memory["direction"]
-        if back.any():
+        turns = memory["direction"] != state.memory["direction"]
+        if turns.any():
             c, x, direction = state.constants, state.displacement, memory["direction"]
-            before = _gap(state)
-            after = turned(c, before, x, state.memory["slip"], direction)
+            old_gap = _gap(state)
+            new_gap = turned(c, old_gap, x, state.memory["slip"], direction)
             moved = state.memory["moved"]
             if not moved.all():  # the direction was assumed, and was the other one
-                begun = Gap.begun(c, x, direction, memory["start"])
-                pairs = zip(after, begun, strict=True)
-                after = Gap(*(np.where(moved, new, first) for new, first in pairs))
-            pairs = zip(before, after, strict=True)
-            memory |= Gap(*(np.where(back, new, old) for old, new in pairs))._asdict()
+                start_gap = Gap.begun(c, x, direction, memory["start"])
+                pairs = zip(new_gap, start_gap, strict=True)
+                new_gap = Gap(*(np.where(moved, value, initial) for value, initial in pairs))
+            pairs = zip(old_gap, new_gap, strict=True)
+            memory |= Gap(
+                *(np.where(turns, value, previous) for previous, value in pairs)
+            )._asdict()
         return memory
 
     def total(self, state: State) -> Array:

@@ -30,7 +30,7 @@ from scipy import linalg  # noqa: F401  # loads scipy's BLAS, for `refusal` to f
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from mfd_bayes.errors import FitError
-from mfd_bayes.jobs.job import Job, Outcome, Progress, State, Step
+from mfd_bayes.jobs.job import Job, JobState, Outcome, Progress, Step
 from mfd_bayes.store.files import write_bytes
 
 PATIENCE = 5.0  # s in which a scheduler must answer
@@ -57,7 +57,7 @@ def check_cluster(address: str) -> None:
 
 
 def run_on_cluster(
-    jobs: Sequence[Job], out: Path, address: str, observe: Callable[[Step], None]
+    jobs: Sequence[Job], folder: Path, address: str, observe: Callable[[Step], None]
 ) -> Generator[Outcome, None, None]:
     """Outcomes of jobs in the order in which the workers of a scheduler end them.
 
@@ -65,7 +65,7 @@ def run_on_cluster(
     lost begins again on another one from the same seed, as often as the scheduler allows.
     """
     for job in jobs:
-        observe(Step(job.id, State.WAITING))
+        observe(Step(job.id, JobState.WAITING))
     if not jobs:
         return
     messages: queue.SimpleQueue[Mapping[str, Any]] = queue.SimpleQueue()
@@ -75,7 +75,7 @@ def run_on_cluster(
     with _connected(address) as client:
         with _losses(address):
             client.subscribe_topic(topic, lambda event: messages.put(event[1]))
-            futures = _submit(client, jobs, out, topic)
+            futures = _submit(client, jobs, folder, topic)
         ids = {future.key: job.id for future, job in futures.items()}
         ended = as_completed(futures, loop=client.loop, raise_errors=False)
         try:
@@ -88,7 +88,7 @@ def run_on_cluster(
                     start = f"start one with: dask worker {address}"
                     observe(Step("cluster", "waits for a worker:", message=start))
                 elif idle and not missing:
-                    observe(Step("cluster", State.DONE))
+                    observe(Step("cluster", JobState.DONE))
                 idle = missing
                 while not messages.empty():
                     message = messages.get()
@@ -97,34 +97,34 @@ def run_on_cluster(
                         if attempts.setdefault(key, attempt) != attempt:
                             attempts[key] = attempt
                             lost = "its worker was lost"
-                            observe(Step(ids[key], State.RESTARTED, message=lost))
+                            observe(Step(ids[key], JobState.RESTARTED, message=lost))
                         step = json.loads(message["step"])
                         progress = step.pop("progress") or None
                         observe(Step(**step, progress=progress and Progress(**progress)))
                 for future in ended.next_batch(block=False) if ended.has_ready() else ():
                     del ids[future.key]
-                    yield _store(future, futures.pop(future), out, address, observe)
+                    yield _store(future, futures.pop(future), folder, address, observe)
                 time.sleep(WATCH)
         finally:
             with suppress(*FAULTS):
                 client.cancel(list(futures))
 
 
-def _submit(client: Any, jobs: Sequence[Job], out: Path, topic: str) -> dict[Any, Job]:
+def _submit(client: Any, jobs: Sequence[Job], folder: Path, topic: str) -> dict[Any, Job]:
     """Future of each job; each file that jobs need is sent once.
 
     A file is a task of its own, and not scattered: dask makes it again where a worker is lost.
     """
-    names = dict.fromkeys(name for job in jobs for name in job.needs(out))
+    names = dict.fromkeys(name for job in jobs for name in job.needs(folder))
     files = {
-        name: client.submit(bytes, (out / name).read_bytes(), key=f"{topic}-file-{i}")
+        name: client.submit(bytes, (folder / name).read_bytes(), key=f"{topic}-file-{i}")
         for i, name in enumerate(names)
     }
     futures = {}
     for i, job in enumerate(jobs):
-        given = {name: files[name] for name in job.needs(out)}
+        inputs = {name: files[name] for name in job.needs(folder)}
         try:
-            future = client.submit(work, job, given, versions(), topic, key=f"{topic}-{i}")
+            future = client.submit(work, job, inputs, versions(), topic, key=f"{topic}-{i}")
         except TypeError as error:
             raise FitError(f"cannot send {job.id} to the workers: {error.args[0]}") from error
         futures[future] = job
@@ -132,7 +132,7 @@ def _submit(client: Any, jobs: Sequence[Job], out: Path, topic: str) -> dict[Any
 
 
 def _store(
-    future: Any, job: Job, out: Path, address: str, observe: Callable[[Step], None]
+    future: Any, job: Job, folder: Path, address: str, observe: Callable[[Step], None]
 ) -> Outcome:
     """Store the files of a job that has ended; its outcome."""
     if future.status in ("cancelled", "lost"):  # not by us, or it would not be waited for
@@ -149,12 +149,12 @@ def _store(
                 f"its workers were lost {error.allowed_failures + 1} times, the last one "
                 f"{error.last_worker.address}: if memory is short, give them fewer tests at a time"
             )
-        observe(Step(job.id, State.FAILED, message=reason))
-        return Outcome(job.id, State.FAILED, 0.0, reason)
+        observe(Step(job.id, JobState.FAILED, message=reason))
+        return Outcome(job.id, JobState.FAILED, 0.0, reason)
     outcome, files, steps = answer
     for name in job.makes:  # and no other file
         if name in files:
-            write_bytes(out / name, files[name])
+            write_bytes(folder / name, files[name])
     for step in steps:
         observe(step)
     return outcome  # type: ignore[no-any-return]
@@ -165,7 +165,7 @@ def _connected(address: str) -> Iterator[Any]:
     """Connection to a scheduler, without the library's own log messages."""
     if not re.fullmatch(r"(tcp|tls)://.+:\d+", address):
         raise FitError(f"--scheduler must be like tcp://host:8786, got {address!r}")
-    before = {name: logging.getLogger(name).level for name in _LOGS}
+    levels = {name: logging.getLogger(name).level for name in _LOGS}
     for name in _LOGS:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
@@ -184,7 +184,7 @@ def _connected(address: str) -> Iterator[Any]:
             with suppress(*FAULTS):
                 client.close(timeout=PATIENCE)
     finally:
-        for name, level in before.items():
+        for name, level in levels.items():
             logging.getLogger(name).setLevel(level)
 
 
@@ -214,7 +214,7 @@ def _in_a_line(error: BaseException) -> str:
 
 
 def work(
-    job: Job, given: Mapping[str, bytes], expected: Mapping[str, str], topic: str
+    job: Job, inputs: Mapping[str, bytes], expected: Mapping[str, str], topic: str
 ) -> tuple[Outcome, dict[str, bytes], list[Step]]:
     """Do a job in a temporary folder; its outcome, the files that it made and its last steps.
 
@@ -224,11 +224,14 @@ def work(
     if refused := refusal(expected):
         raise FitError(f"the worker {worker.address} {refused}")
     key, attempt = worker.get_current_task(), uuid.uuid4().hex
-    last: list[Step] = []
+    final_steps: list[Step] = []
 
     def send(step: Step) -> None:
-        if step.stage in (State.DONE, State.FAILED):  # returned: so it comes after all messages
-            last.append(step)
+        if step.stage in (
+            JobState.DONE,
+            JobState.FAILED,
+        ):  # returned: so it comes after all messages
+            final_steps.append(step)
             return
         task = worker.state.tasks.get(key)
         if task is None or task.state == "cancelled":
@@ -237,12 +240,12 @@ def work(
         worker.log_event(topic, {"key": key, "attempt": attempt, "step": text})
 
     with tempfile.TemporaryDirectory(prefix="mfd_bayes-") as folder:
-        out = Path(folder)
-        for name, content in given.items():
-            write_bytes(out / name, content)
-        outcome = job.run(out, send)
-        made = [name for name in job.makes if (out / name).is_file()]
-        return outcome, {name: (out / name).read_bytes() for name in made}, last
+        root = Path(folder)
+        for name, content in inputs.items():
+            write_bytes(root / name, content)
+        outcome = job.run(root, send)
+        outputs = [name for name in job.makes if (root / name).is_file()]
+        return outcome, {name: (root / name).read_bytes() for name in outputs}, final_steps
 
 
 def versions() -> dict[str, str]:
@@ -257,19 +260,19 @@ def refusal(expected: Mapping[str, str]) -> str:
     The number of threads changes the last bits of sums. It is set to one, and not set back: other
     jobs may run in other threads of this process.
     """
-    found = versions()
-    others = [
-        f"{name} {found.get(name, 'of no version')} and not {other}"
-        for name, other in expected.items()
-        if found.get(name) != other
+    installed = versions()
+    differences = [
+        f"{name} {installed.get(name, 'of no version')} and not {required}"
+        for name, required in expected.items()
+        if installed.get(name) != required
     ]
-    if others:
-        return f"has {', '.join(others)} as here: install the same versions there"
+    if differences:
+        return f"has {', '.join(differences)} as here: install the same versions there"
     threadpool_limits(limits=1)
-    many = sorted(pool["filepath"] for pool in threadpool_info() if pool["num_threads"] != 1)
-    if not many:
+    threaded = sorted(pool["filepath"] for pool in threadpool_info() if pool["num_threads"] != 1)
+    if not threaded:
         return ""
     return (
-        f"computes with several threads, and {', '.join(many)} cannot be told not to: start it "
+        f"computes with several threads, and {', '.join(threaded)} cannot be told not to: start it "
         "with OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1"
     )

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 
-class State(StrEnum):
+class JobState(StrEnum):
     """Whether a test, or another piece of work, is waiting or has ended, and how."""
 
     WAITING = "waiting"
@@ -79,7 +79,7 @@ class Step:
 
     id: str
     stage: str
-    """A `State`; in between what the work is at, such as "sampling"."""
+    """A `JobState`; in between what the work is at, such as "sampling"."""
     progress: Progress | None = None
     message: str = ""
 
@@ -93,7 +93,7 @@ class Outcome:
     """How a piece of work ended: `State.DONE`, or `State.FAILED` with an error."""
 
     id: str
-    status: State
+    status: JobState
     seconds: float
     error: str = ""
     value: Any = None
@@ -111,8 +111,8 @@ class Job(Protocol):
     def makes(self) -> tuple[str, ...]:
         """Files that it stores, relative to the run folder."""
 
-    def needs(self, out: Path) -> tuple[str, ...]:
+    def needs(self, folder: Path) -> tuple[str, ...]:
         """Files that it reads, relative to the run folder."""
 
-    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
+    def run(self, folder: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Do the work and store its files in a run folder."""

@@ -27,7 +27,7 @@ from types import ModuleType
 from typing import Any, TypeVar
 
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.jobs.job import Job, Outcome, State, Step, Workplace
+from mfd_bayes.jobs.job import Job, JobState, Outcome, Step, Workplace
 
 PRELOAD = "mfd_bayes.pipeline.preload"
 """Module that imports what the processes of a run need."""
@@ -52,12 +52,12 @@ _WORKER: ContextVar[tuple[Path, Callable[[Step], Any]]] = ContextVar("_WORKER")
 
 
 def run_jobs(
-    jobs: Sequence[Job], out: Path, workplace: Workplace, observe: Callable[[Step], None]
+    jobs: Sequence[Job], folder: Path, workplace: Workplace, observe: Callable[[Step], None]
 ) -> Generator[Outcome, None, None]:
     """Outcomes of jobs in the order in which they end; the draws are the same on every machine."""
     if not workplace.scheduler:
-        return run_in_processes(jobs, out, workplace.processes, observe)
-    return _cluster().run_on_cluster(jobs, out, workplace.scheduler, observe)  # type: ignore[no-any-return]
+        return run_in_processes(jobs, folder, workplace.processes, observe)
+    return _cluster().run_on_cluster(jobs, folder, workplace.scheduler, observe)  # type: ignore[no-any-return]
 
 
 def check_workers(workplace: Workplace) -> None:
@@ -80,7 +80,7 @@ def _cluster() -> ModuleType:
 
 
 def run_in_processes(
-    jobs: Sequence[Job], out: Path, processes: int, observe: Callable[[Step], None]
+    jobs: Sequence[Job], folder: Path, processes: int, observe: Callable[[Step], None]
 ) -> Generator[Outcome, None, None]:
     """Outcomes of jobs in the order in which they end.
 
@@ -88,29 +88,29 @@ def run_in_processes(
     again in new processes, from the same seeds.
     """
     for job in jobs:
-        observe(Step(job.id, State.WAITING))
+        observe(Step(job.id, JobState.WAITING))
     waiting, losses = list(jobs), Counter[str]()
     while waiting:
-        begun: set[str] = set()
+        started: set[str] = set()
         news = context().SimpleQueue()  # of these processes alone: a killed one may have locked it
         size = min(processes, len(waiting))
-        pool = ProcessPoolExecutor(size, context(), initializer=_begin, initargs=(out, news))
+        pool = ProcessPoolExecutor(size, context(), initializer=_begin, initargs=(folder, news))
         try:
             with started_alike():
                 futures = {pool.submit(_work, job): job for job in waiting}
             pending = set(futures)
             while pending:
-                done, pending = wait(pending, WATCH, FIRST_COMPLETED)
+                finished, pending = wait(pending, WATCH, FIRST_COMPLETED)
                 while not news.empty():
                     step = news.get()
-                    begun.add(step.id)
+                    started.add(step.id)
                     observe(step)
-                for future in sorted(done, key=lambda f: f.exception() is not None):
+                for future in sorted(finished, key=lambda f: f.exception() is not None):
                     outcome = future.result()
                     waiting.remove(futures[future])
                     yield outcome
         except BrokenProcessPool:
-            stopped = [job.id for job in waiting if job.id in begun]
+            stopped = [job.id for job in waiting if job.id in started]
             names = ", ".join(stopped) or "the start"
             losses.update(stopped or [names])
             if max(losses.values()) >= ATTEMPTS:
@@ -118,9 +118,11 @@ def run_in_processes(
                     f"a process was killed {ATTEMPTS} times at {losses.most_common(1)[0][0]}: if "
                     "memory is short, give fewer --jobs; go on with --resume"
                 ) from None
-            observe(Step("processes", State.NOTE, message=f"one was killed; begins again: {names}"))
+            observe(
+                Step("processes", JobState.NOTE, message=f"one was killed; begins again: {names}")
+            )
             for name in stopped:
-                observe(Step(name, State.WAITING))
+                observe(Step(name, JobState.WAITING))
         finally:
             workers = list((pool._processes or {}).values())  # Python 3.14 has `kill_workers`
             pool.shutdown(wait=False, cancel_futures=True)
@@ -130,19 +132,19 @@ def run_in_processes(
                 worker.join()
 
 
-def _begin(out: Path, news: Any) -> None:
-    _WORKER.set((out, news.put))
+def _begin(folder: Path, news: Any) -> None:
+    _WORKER.set((folder, news.put))
     follow_parent()
 
 
 def _work(job: Job) -> Outcome:
     """In a worker process: do a job; what the machine lacks becomes one sentence."""
-    out, send = _WORKER.get()
+    folder, send = _WORKER.get()
     try:
-        return job.run(out, send)
+        return job.run(folder, send)
     except OSError as error:
-        place = f" in {error.filename}" if error.filename else ""
-        raise StoreError(f"cannot store {job.id}{place}: {error.strerror or error}") from None
+        location = f" in {error.filename}" if error.filename else ""
+        raise StoreError(f"cannot store {job.id}{location}: {error.strerror or error}") from None
     except MemoryError as error:
         reason = f" ({error})" if str(error) else ""
         raise FitError(f"memory is too short for {job.id}{reason}: give fewer --jobs") from None
@@ -174,7 +176,7 @@ def started_alike() -> Iterator[None]:
     """
     warnings = ",".join(filter(None, (os.environ.get("PYTHONWARNINGS"), _TIDIED)))
     environment = _ENVIRONMENT | {"PYTHONWARNINGS": warnings}
-    before = dict(os.environ)
+    saved = dict(os.environ)
     os.environ |= environment
     blocks = hasattr(signal, "pthread_sigmask")
     if blocks:
@@ -187,7 +189,7 @@ def started_alike() -> Iterator[None]:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for name in environment:
             del os.environ[name]
-            os.environ |= {name: before[name]} if name in before else {}
+            os.environ |= {name: saved[name]} if name in saved else {}
 
 
 def follow_parent() -> None:

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from mfd_bayes.console import clean, open_console, say
-from mfd_bayes.jobs.job import Observe, Progress, State, Step
+from mfd_bayes.jobs.job import JobState, Observe, Progress, Step
 from mfd_bayes.jobs.signals import before_end
 
 if TYPE_CHECKING:
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 SILENCE = 10.0
 """Seconds without a line after which one says what is at work, where there is no terminal."""
 
-ENDED = (State.DONE, State.KEPT, State.FAILED)
+ENDED = (JobState.DONE, JobState.KEPT, JobState.FAILED)
 """Stages of work that has ended."""
 
-ALARMS = (State.FAILED, State.RESTARTED, State.NOTE)
+ALARMS = (JobState.FAILED, JobState.RESTARTED, JobState.NOTE)
 """Stages that are printed even with --quiet."""
 
 
@@ -52,12 +52,12 @@ def _lines() -> Iterator[Observe]:
     def observe(step: Step) -> None:
         nonlocal printed
         with lock:
-            if step.stage in (State.WAITING, *ENDED):
+            if step.stage in (JobState.WAITING, *ENDED):
                 running.pop(step.id, None)
-            elif step.stage != State.NOTE:
+            elif step.stage != JobState.NOTE:
                 _, began = running.get(step.id, (step, time.monotonic()))
                 running[step.id] = step, began
-            if step.stage != State.WAITING:
+            if step.stage != JobState.WAITING:
                 say(line_of(step))
                 printed = time.monotonic()
 
@@ -104,14 +104,14 @@ def _bars() -> Iterator[Observe]:
     done: set[str] = set()
 
     def observe(step: Step) -> None:
-        if step.stage in (State.WAITING, State.KEPT):
+        if step.stage in (JobState.WAITING, JobState.KEPT):
             tests.add(step.id)
-        if step.stage in (State.WAITING, *ENDED) and step.id in rows:
+        if step.stage in (JobState.WAITING, *ENDED) and step.id in rows:
             bars.remove_task(rows.pop(step.id))
         if step.stage in (*ENDED, *ALARMS):
             bars.console.print(clean(line_of(step)))
             done.update({step.id} & tests if step.stage in ENDED else ())
-        elif step.stage != State.WAITING:
+        elif step.stage != JobState.WAITING:
             _show(step)
         state = f"{len(done)} of {len(tests)} done"
         bars.update(
@@ -136,13 +136,13 @@ def _bars() -> Iterator[Observe]:
 def line_of(step: Step) -> str:
     """A step in a line: with what it has reached, and which targets are missing."""
     progress = step.progress
-    if step.stage == State.KEPT:
+    if step.stage == JobState.KEPT:
         return f"{step.id}: done before"
     if progress is None:
         return f"{step.id}: {f'{step.stage} {step.message}'.strip()}"
     rate = f"{progress.rate:.{0 if progress.rate >= 10 else 1}f} steps/s"
     text = f"{step.id}: {step.stage}, {progress.steps} steps{_reached(progress)}, {rate}"
-    if step.stage == State.DONE:
+    if step.stage == JobState.DONE:
         return text
     left = (progress.limit - progress.steps) / progress.rate
     return f"{text}{_missing(progress)}, at most {left:.0f} s left"

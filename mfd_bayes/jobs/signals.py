@@ -35,13 +35,13 @@ def end_on_signals() -> Iterator[None]:
 
 @contextmanager
 def _handled(handlers: Mapping[int, Any]) -> Iterator[None]:
-    before = {number: signal.getsignal(number) for number in handlers}
+    saved = {number: signal.getsignal(number) for number in handlers}
     for number, handler in handlers.items():
         signal.signal(number, handler)
     try:
         yield
     finally:
-        for number, handler in before.items():
+        for number, handler in saved.items():
             signal.signal(number, handler)
 
 
@@ -73,16 +73,16 @@ def _end(number: int, _frame: object = None, *, hint: Callable[[], str] = str) -
 
     Nothing needs to be cleaned up: files are whole at every moment.
     """
-    for each in _SIGNALS:
-        signal.signal(each, signal.SIG_IGN)
+    for signum in _SIGNALS:
+        signal.signal(signum, signal.SIG_IGN)
     children = multiprocessing.active_children()
     for child in children:
         child.kill()
     for child in children:
         child.join()
-    by = "" if number == signal.SIGINT else f" by {signal.Signals(number).name}"
+    cause = "" if number == signal.SIGINT else f" by {signal.Signals(number).name}"
     with suppress(OSError, AttributeError):
         if sys.stdout.isatty():
             os.write(1, b"\x1b[0m\x1b[?25h\n")  # progress.py hides the cursor
-        os.write(2, f"mfd-bayes: interrupted{by}{hint()}\n".encode(errors="backslashreplace"))
+        os.write(2, f"mfd-bayes: interrupted{cause}{hint()}\n".encode(errors="backslashreplace"))
     os._exit(128 + number)

@@ -16,7 +16,7 @@ from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.friction.models import file_of
-from mfd_bayes.jobs.job import Observe, Progress, State, Step
+from mfd_bayes.jobs.job import JobState, Observe, Progress, Step
 from mfd_bayes.jobs.local import check_workers, run_jobs
 from mfd_bayes.pipeline.options import RunOptions
 from mfd_bayes.pipeline.plan import Plan, plan_campaign
@@ -60,99 +60,101 @@ _OF_FINISHED = ("status", "finished", "crossvalidation", "verdicts", "machines")
 """Keys of a finished run that nothing is computed of again."""
 
 
-def calibrate(plan: Plan, out: Path, observe: Observe) -> Run:
+def calibrate(plan: Plan, folder: Path, observe: Observe) -> Run:
     """Calibrate a campaign into a run folder, up to but not including its report."""
-    with working_in(plan, out):
-        return calibrate_locked(plan, out, observe)
+    with working_in(plan, folder):
+        return calibrate_locked(plan, folder, observe)
 
 
-def calibrate_plan(plan: Plan, out: Path, observe: Observe) -> CampaignView:
+def calibrate_plan(plan: Plan, folder: Path, observe: Observe) -> CampaignView:
     """Calibrate a campaign as `calibrate` does, and write its report."""
-    with working_in(plan, out):
-        run = calibrate_locked(plan, out, observe)
+    with working_in(plan, folder):
+        run = calibrate_locked(plan, folder, observe)
         return write_report(run, observe, jobs=plan.options.jobs)
 
 
-def demo(out: Path, options: RunOptions, observe: Observe) -> CampaignView:
+def demo(folder: Path, options: RunOptions, observe: Observe) -> CampaignView:
     """Write a synthetic campaign under OUT/campaign, calibrate it, and report on it."""
     check_workers(options)
-    check_links(out, ["campaign"])
-    used = out.exists() and (not out.is_dir() or any(out.iterdir()))
-    if used and not options.force:
-        raise StoreError(f"{out} exists: give --force to replace it")
-    campaign = out / "campaign"
-    with alone_in(out):
-        if used and not _holds_a_demo_alone(out):
-            discard(out)
+    check_links(folder, ["campaign"])
+    occupied = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
+    if occupied and not options.force:
+        raise StoreError(f"{folder} exists: give --force to replace it")
+    campaign = folder / "campaign"
+    with alone_in(folder):
+        if occupied and not _holds_a_demo_alone(folder):
+            discard(folder)
         for path in (campaign / "campaign.toml", *campaign.glob(f".*{PART}")):
             remove_file(path)  # the campaign file is written last
         truth = write_campaign(campaign, options.seed)
         options = replace(options, force=False, resume=False)
         plan = plan_campaign(campaign / "campaign.toml", options)
         plan = replace(plan, manifest=plan.manifest.changed(truth=Truth(**truth)))
-        run = calibrate_locked(plan, out, observe)
+        run = calibrate_locked(plan, folder, observe)
         return write_report(run, observe, jobs=options.jobs)
 
 
-def _holds_a_demo_alone(out: Path) -> bool:
+def _holds_a_demo_alone(folder: Path) -> bool:
     """Whether a folder holds nothing but a demo's campaign, whole or not: no run was begun."""
-    campaign, ours = out / "campaign", re.compile(r"campaign\.toml|p\d+_f[\d.]+\.csv|\..+\.part")
-    others = [path for path in out.iterdir() if path != campaign]
+    campaign, ours = folder / "campaign", re.compile(r"campaign\.toml|p\d+_f[\d.]+\.csv|\..+\.part")
+    entries = [path for path in folder.iterdir() if path != campaign]
     return (
         campaign.is_dir()
-        and all(path.name == OWNER or is_part(path, MANIFEST) for path in others)
+        and all(path.name == OWNER or is_part(path, MANIFEST) for path in entries)
         and all(path.is_file() and ours.fullmatch(path.name) for path in campaign.iterdir())
     )
 
 
-def check_dry(plan: Plan, out: Path) -> None:
+def check_dry(plan: Plan, folder: Path) -> None:
     """Refuse a folder that `calibrate` would refuse, before anything is read in it."""
-    _check_place(plan, out)
+    _check_place(plan, folder)
     if not (plan.options.resume or plan.options.force):
-        check_free(plan.campaign.folder, out)
+        check_free(plan.campaign.folder, folder)
 
 
 @contextmanager
-def working_in(plan: Plan, out: Path) -> Iterator[None]:
+def working_in(plan: Plan, folder: Path) -> Iterator[None]:
     """Check that a plan may be carried out in a run folder, and lock it until the end."""
-    _check_place(plan, out)
+    _check_place(plan, folder)
     check_workers(plan.options)
-    with alone_in(out):
+    with alone_in(folder):
         yield
 
 
-def _check_place(plan: Plan, out: Path) -> None:
+def _check_place(plan: Plan, folder: Path) -> None:
     options, campaign = plan.options, plan.campaign
     if options.resume and options.force:
         raise StoreError("give either --resume or --force, not both")
     inputs = [campaign.path, plan.priors.path, *(test.path for test in campaign.tests)]
     inputs += [campaign.model_file] if campaign.model_file else []
-    check_apart(out, inputs, force=options.force, resume=options.resume)
+    check_apart(folder, inputs, force=options.force, resume=options.resume)
 
 
-def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
+def calibrate_locked(plan: Plan, folder: Path, observe: Observe) -> Run:
     """Calibrate a campaign as `calibrate` does, in a folder that `working_in` has locked."""
-    own, home, options = plan.manifest, plan.campaign.folder, plan.options
-    resumed = prepare_folder(own, home, out, resume=options.resume, force=options.force)
+    plan_manifest, campaign_folder, options = plan.manifest, plan.campaign.folder, plan.options
+    resumed = prepare_folder(
+        plan_manifest, campaign_folder, folder, resume=options.resume, force=options.force
+    )
     for sentence in resumed.notes:
-        observe(Step("resume", State.NOTE, message=sentence))
+        observe(Step("resume", JobState.NOTE, message=sentence))
     if plan.campaign.model_file:
         message = f"runs {file_of(plan.campaign.model)}, the campaign's own model"
-        observe(Step("model", State.NOTE, message=message))
+        observe(Step("model", JobState.NOTE, message=message))
         add_calibrated_model(plan.campaign.model_file)
     if plan.slow:
-        observe(Step("model", State.NOTE, message=plan.slow))
+        observe(Step("model", JobState.NOTE, message=plan.slow))
     manifest = resumed.manifest
-    todo = [task for task in plan.tasks if not (out / posterior_of(task.id)).is_file()]
+    todo = [task for task in plan.tasks if not (folder / posterior_of(task.id)).is_file()]
     if resumed.before is not None and not todo:
-        manifest = _with_population(manifest, resumed.before, out)
+        manifest = _with_population(manifest, resumed.before, folder)
     try:
         if manifest.status != Status.FINISHED:
-            remove_stale(out, draws=bool(todo) or not resumed.same_tests)
-            mark_pages(out)
-        manifest = _calibrate_tests(plan, manifest, todo, out, observe)
+            remove_stale(folder, draws=bool(todo) or not resumed.same_tests)
+            mark_pages(folder)
+        manifest = _calibrate_tests(plan, manifest, todo, folder, observe)
         model = plan.campaign.force_model
-        files = {task.id: out / posterior_of(task.id) for task in plan.tasks}
+        files = {task.id: folder / posterior_of(task.id) for task in plan.tasks}
         results = {
             n: load_result(n, f, plan.priors, model) for n, f in files.items() if f.is_file()
         }
@@ -160,67 +162,71 @@ def calibrate_locked(plan: Plan, out: Path, observe: Observe) -> Run:
             errors = {entry.error for entry in manifest.tests.values() if entry.error}
             raise FitError(f"no test could be calibrated: {'; '.join(sorted(errors))}")
         if manifest.status != Status.FINISHED:
-            manifest = _infer_population(plan, manifest, results, out, observe)
+            manifest = _infer_population(plan, manifest, results, folder, observe)
         stored = [f(test) for test in manifest.tests for f in (posterior_of, pooled_of, record_of)]
         manifest = manifest.changed(
-            files=hash_stored(out, [PRIORS, MODEL, POPULATION, *stored]),
+            files=hash_stored(folder, [PRIORS, MODEL, POPULATION, *stored]),
             status=Status.FINISHED,
             finished=datetime.now(UTC).isoformat(timespec="seconds"),
         )
-        manifest.write(out)
+        manifest.write(folder)
     finally:
-        remove_partial_files(out)
-    return Run(out, manifest, plan.priors, results, plan.held_out, trust=True)
+        remove_partial_files(folder)
+    return Run(folder, manifest, plan.priors, results, plan.held_out, trust=True)
 
 
-def _with_population(manifest: Manifest, before: Manifest, out: Path) -> Manifest:
+def _with_population(manifest: Manifest, previous: Manifest, folder: Path) -> Manifest:
     """The manifest with the results of an earlier session that finished, else as it is.
 
     It is that of a finished run then: nothing is left to be computed, and where this session is
     killed, nothing is lost. Hashes of files that are written again are left out.
     """
-    whole = set(_POPULATION) <= before.model_fields_set and (out / POPULATION).is_file()
-    if before.status != Status.FINISHED or not whole:
+    is_complete = set(_POPULATION) <= previous.model_fields_set and (folder / POPULATION).is_file()
+    if previous.status != Status.FINISHED or not is_complete:
         return manifest
-    keys = [key for key in (*_POPULATION, *_OF_FINISHED) if key in before.model_fields_set]
+    keys = [key for key in (*_POPULATION, *_OF_FINISHED) if key in previous.model_fields_set]
     names = {POPULATION, *map(pooled_of, manifest.tests)}
-    stored = {name: digest for name, digest in before.files.items() if name in names}
-    return manifest.changed(**{key: getattr(before, key) for key in keys}).with_files(stored)
+    stored = {name: digest for name, digest in previous.files.items() if name in names}
+    return manifest.changed(**{key: getattr(previous, key) for key in keys}).with_files(stored)
 
 
 def _calibrate_tests(
-    plan: Plan, manifest: Manifest, todo: Sequence[Task], out: Path, observe: Observe
+    plan: Plan, manifest: Manifest, todo: Sequence[Task], folder: Path, observe: Observe
 ) -> Manifest:
     """Store the posterior of every test that has none."""
-    kept = [task.id for task in plan.tasks if task not in todo]
-    for name in kept:
-        manifest = manifest.with_test(name, status=State.DONE)
+    kept_tests = [task.id for task in plan.tasks if task not in todo]
+    for name in kept_tests:
+        manifest = manifest.with_test(name, status=JobState.DONE)
     for name in plan.held_out:
-        manifest = manifest.with_test(name, status=State.HELD_OUT)
-    manifest.write(out)  # first of all: a folder with a manifest is a run folder
-    write_bytes(out / CAMPAIGN, plan.campaign.path.read_bytes())
-    write_bytes(out / PRIORS, plan.priors.path.read_bytes())
+        manifest = manifest.with_test(name, status=JobState.HELD_OUT)
+    manifest.write(folder)  # first of all: a folder with a manifest is a run folder
+    write_bytes(folder / CAMPAIGN, plan.campaign.path.read_bytes())
+    write_bytes(folder / PRIORS, plan.priors.path.read_bytes())
     if file := plan.campaign.model_file:
-        write_bytes(out / MODEL, file.read_bytes())
+        write_bytes(folder / MODEL, file.read_bytes())
     else:
-        remove_file(out / MODEL)  # of an earlier session, with another model
+        remove_file(folder / MODEL)  # of an earlier session, with another model
     for name, trace in plan.held_out.items():
-        save_trace(out / record_of(name), trace, {})
-    for name in kept:
-        observe(Step(name, State.KEPT))
+        save_trace(folder / record_of(name), trace, {})
+    for name in kept_tests:
+        observe(Step(name, JobState.KEPT))
     began = time.perf_counter()
-    with closing(run_jobs(todo, out, plan.options, observe)) as outcomes:
+    with closing(run_jobs(todo, folder, plan.options, observe)) as outcomes:
         for outcome in outcomes:
             failed = {"error": outcome.error} if outcome.error else {}
             manifest = manifest.with_test(
                 outcome.id, status=outcome.status, seconds=outcome.seconds, **failed
-            ).with_files(hash_stored(out, [posterior_of(outcome.id)]))
-            manifest.write(out)
+            ).with_files(hash_stored(folder, [posterior_of(outcome.id)]))
+            manifest.write(folder)
     return manifest.longer(time.perf_counter() - began)
 
 
 def _infer_population(
-    plan: Plan, manifest: Manifest, results: Mapping[str, TestResult], out: Path, observe: Observe
+    plan: Plan,
+    manifest: Manifest,
+    results: Mapping[str, TestResult],
+    folder: Path,
+    observe: Observe,
 ) -> Manifest:
     """Infer the population from the stored posteriors, and store it."""
     began, options, model = time.perf_counter(), plan.options, plan.campaign.force_model
@@ -232,12 +238,12 @@ def _infer_population(
         lambda progress: observe(Step("population", "sampling", progress)),
     )
     for j, name in enumerate(results):
-        save_arrays(out / pooled_of(name), inference.values(j), {"test": name}, units(model))
-    save_population(out / POPULATION, inference.population)
+        save_arrays(folder / pooled_of(name), inference.values(j), {"test": name}, units(model))
+    save_population(folder / POPULATION, inference.population)
     seconds, worst = time.perf_counter() - began, inference.population.convergence
     sweeps = inference.sweeps
     progress = Progress(sweeps, sweeps, worst.worst_r_hat, worst.worst_ess, seconds)
-    observe(Step("population", State.DONE, progress))
+    observe(Step("population", JobState.DONE, progress))
     return manifest.longer(seconds).changed(
         law_scores=inference.scores,
         free_exponents=inference.exponents,

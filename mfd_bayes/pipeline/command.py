@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from mfd_bayes.evaluation.views import CampaignView, Check
     from mfd_bayes.pipeline.plan import Plan
     from mfd_bayes.runs.manifest import Comparison, Finding
-    from mfd_bayes.runs.unit_system import System
+    from mfd_bayes.runs.unit_system import UnitSystem
 
 WIDTH, LINES = 100, 10
 """Most columns and lines of the end of a run."""
@@ -116,10 +116,10 @@ def run_prior_check(options: PriorCheckOptions) -> None:
             f"note: most of the force of {', '.join(checked.unloaded)} lies outside. It was "
             "measured without actuation, and the priors are of a device under actuation."
         )
-    if checked.outside:
+    if checked.outlying:
         why = f": {checked.wrong}" if checked.wrong else ""
         say(
-            f"warning: most of the force of {', '.join(checked.outside)} lies outside of what the "
+            f"warning: most of the force of {', '.join(checked.outlying)} lies outside of what the "
             f"priors allow{why}"
         )
         raise typer.Exit(1)
@@ -244,7 +244,7 @@ def run_demo(options: DemoOptions) -> None:
     _print_end(view, options.out, quiet=options.quiet)
 
 
-def _print_warnings(warnings: Iterable[Finding], system: System) -> None:
+def _print_warnings(warnings: Iterable[Finding], system: UnitSystem) -> None:
     """Print what was found that a reader must know, a line each, in the units of a system."""
     for finding in warnings:
         say(f"warning: {finding.subject}: {finding.message.to_text(system)}")
@@ -349,7 +349,7 @@ def _print_checks(view: CampaignView, *, every: bool) -> None:
 
 def _missed_lines(view: CampaignView) -> list[str]:
     """What misses: warnings, checks that fail or are missed, and tests that are not just usable."""
-    from mfd_bayes.runs.manifest import Use, Verdict
+    from mfd_bayes.runs.manifest import CheckStatus, Fitness
 
     system = view.system
     return [
@@ -357,12 +357,12 @@ def _missed_lines(view: CampaignView) -> list[str]:
         *(
             f"{c.status}: {c.test}: {c.message.to_text(system)}"
             for c in view.checks
-            if c.status in (Verdict.FAIL, Verdict.WARNING)
+            if c.status in (CheckStatus.FAIL, CheckStatus.WARNING)
         ),
         *(
             f"{j.use}: {j.subject}: {j.to_text(system)}"
             for j in view.judgements
-            if j.use != Use.USABLE
+            if j.use != Fitness.USABLE
         ),
     ]
 

@@ -15,14 +15,14 @@ from mfd_bayes.applications.comparison.crossvalidation import (
     run_folds,
 )
 from mfd_bayes.applications.comparison.models import (
-    Candidate,
+    ModelChoice,
     candidates,
     check_cycles,
     compare_runs,
 )
 from mfd_bayes.errors import StoreError
 from mfd_bayes.evaluation.views import CampaignView
-from mfd_bayes.jobs.job import Observe, State, Step
+from mfd_bayes.jobs.job import JobState, Observe, Step
 from mfd_bayes.pipeline.calibrate import calibrate_locked, working_in
 from mfd_bayes.pipeline.options import RunOptions
 from mfd_bayes.pipeline.plan import Plan, plan_campaign
@@ -43,18 +43,18 @@ from mfd_bayes.store.files import write_text
 
 
 def crossvalidate(
-    campaign: Path, out: Path, by: str, options: RunOptions, observe: Observe
+    campaign: Path, folder: Path, by: str, options: RunOptions, observe: Observe
 ) -> CampaignView:
     """Calibrate a campaign, then predict every part of it from all the others.
 
     Parts are by "test", "level" or "session".
     """
     plan = plan_campaign(campaign, options)
-    parts = check_parts(plan, by)
-    for name in (*(task.id for task in plan.tasks), *map(fold_id, parts)):
-        observe(Step(name, State.WAITING))
-    with working_in(plan, out):
-        run = leave_out_parts(calibrate_locked(plan, out, observe), by, plan.options, observe)
+    part_names = check_parts(plan, by)
+    for name in (*(task.id for task in plan.tasks), *map(fold_id, part_names)):
+        observe(Step(name, JobState.WAITING))
+    with working_in(plan, folder):
+        run = leave_out_parts(calibrate_locked(plan, folder, observe), by, plan.options, observe)
         return write_report(run, observe, jobs=options.jobs)
 
 
@@ -82,7 +82,7 @@ def leave_out_parts(run: Run, by: str, options: RunOptions, observe: Observe) ->
 
 def compare(
     campaign: Path,
-    out: Path,
+    folder: Path,
     models: Sequence[str],
     noises: Sequence[str],
     by: str,
@@ -94,24 +94,24 @@ def compare(
     With `by`, every part of each run is predicted from all its others too, as by `crossvalidate`.
     Returns the report of each too.
     """
-    plans = _plan_models(campaign, out, candidates(models, noises), by, options)
+    plans = _plan_models(campaign, folder, candidates(models, noises), by, options)
     for model, plan in plans.items():
         for task in plan.tasks:
-            observe(Step(f"{model}/{task.id}", State.WAITING))
+            observe(Step(f"{model}/{task.id}", JobState.WAITING))
     runs: dict[str, Run] = {}
     with ExitStack() as locks:
-        locks.enter_context(alone_in(out))
+        locks.enter_context(alone_in(folder))
         for model, plan in plans.items():
-            locks.enter_context(working_in(plan, out / model))
+            locks.enter_context(working_in(plan, folder / model))
         for model, plan in plans.items():
             observe_model = _observer_of(model, observe)
-            runs[model] = calibrate_locked(plan, out / model, observe_model)
+            runs[model] = calibrate_locked(plan, folder / model, observe_model)
             if by:
                 runs[model] = leave_out_parts(runs[model], by, plan.options, observe_model)
         observe(Step("comparison", "leaving out one cycle after another"))
         comparison = compare_runs(runs)
-        write_text(out / "comparison.csv", comparison_csv(comparison.rows))
-        observe(Step("comparison", State.DONE))
+        write_text(folder / "comparison.csv", comparison_csv(comparison.rows))
+        observe(Step("comparison", JobState.DONE))
         views = {}
         for model, run in runs.items():
             run = run.rewrite(comparison=comparison)
@@ -120,13 +120,13 @@ def compare(
 
 
 def _plan_models(
-    campaign: Path, out: Path, chosen: Sequence[Candidate], by: str, options: RunOptions
+    campaign: Path, root: Path, selection: Sequence[ModelChoice], by: str, options: RunOptions
 ) -> dict[str, Plan]:
     """Plan of a campaign under each candidate, checked for what the comparison needs."""
     plans: dict[str, Plan] = {}
-    table, replaces = [out / "comparison.csv"], options.force or options.resume
+    table, replaces = [root / "comparison.csv"], options.force or options.resume
     check_outputs(table, [campaign], force=replaces)
-    for candidate in chosen:
+    for candidate in selection:
         plan = plan_campaign(campaign, options, candidate.model, candidate.noise)
         plans[candidate.name] = plan
         if by:
@@ -134,7 +134,7 @@ def _plan_models(
         check_outputs(table, [t.path for t in plan.campaign.tests], force=replaces)
         for task in plan.tasks:
             check_cycles(task)
-        folder = out / candidate.name
+        folder = root / candidate.name
         if folder.exists() and not replaces:
             raise StoreError(
                 f"{folder} exists: give --resume to finish it or --force to replace it"

@@ -25,14 +25,14 @@ from mfd_bayes.campaign.draft import (
     ranges_of,
 )
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
-from mfd_bayes.evaluation.scores import Fan, fan_of
+from mfd_bayes.evaluation.scores import QuantileBand, fan_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.pipeline.inspect import gap_of, system_of_records
 from mfd_bayes.records.loops import Scales, scales_of
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import check_outputs
-from mfd_bayes.runs.unit_system import System
+from mfd_bayes.runs.unit_system import UnitSystem
 from mfd_bayes.store.files import write_bytes, write_text
 
 PRIOR_DRAWS = 400
@@ -47,7 +47,7 @@ class PriorCheck:
 
     tests: tuple[tuple[str, float, Path], ...]
     unloaded: tuple[str, ...]
-    outside: tuple[str, ...]
+    outlying: tuple[str, ...]
     wrong: str
 
 
@@ -74,15 +74,15 @@ def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "
         figure = draw_loops(f"{name}: data over what the priors allow", trace, [fan], system)
         write_bytes(pictures[name], to_png(figure))
         shares[name] = share_inside(fan, trace)
-    still = [name for name, trace in traces.items() if trace.reference_actuation == 0.0]
-    noted = still if len(still) < len(traces) else []
+    zero_actuation = [name for name, trace in traces.items() if trace.reference_actuation == 0.0]
+    noted = zero_actuation if len(zero_actuation) < len(traces) else []
     missed = [name for name, share in shares.items() if share < MOST]
-    outside = tuple(name for name in missed if name not in noted)
-    misfit = most_wrong(priors, campaign.force_model, [traces[name] for name in outside])
+    outlying = tuple(name for name in missed if name not in noted)
+    misfit = most_wrong(priors, campaign.force_model, [traces[name] for name in outlying])
     return PriorCheck(
         tuple((name, share, pictures[name]) for name, share in shares.items()),
         tuple(name for name in missed if name in noted),
-        outside,
+        outlying,
         misfit.sentence(system) if misfit else "",
     )
 
@@ -91,35 +91,35 @@ def prior_check(path: Path, folder: Path, *, force: bool = False, units: str = "
 class Misfit:
     """A prior's median, `expected`, and what a record shows, `observed`, in `unit`.
 
-    `away` is their distance in standard deviations of the prior, `source` where the figure is read.
+    `z` is their distance in standard deviations of the prior, `source` where the figure is read.
     """
 
     quantity: str
     unit: str
     expected: float
     observed: float
-    away: float
+    z: float
     source: str
 
-    def sentence(self, system: System) -> str:
+    def sentence(self, system: UnitSystem) -> str:
         """What is wrong with the prior, and what would mend it."""
         value = system.words([self.observed], self.unit, 3)
         return (
             f"the prior most wrong is that of {self.quantity}: its median is "
             f"{system.words([self.expected], self.unit, 3)}, and {self.source} is {value}, "
-            f"{self.away:.2g} of its standard deviations away; give it a median of about {value}, "
+            f"{self.z:.2g} of its standard deviations away; give it a median of about {value}, "
             "or let mfd-bayes init write priors.toml from the records"
         )
 
 
-def prior_fan(campaign: Campaign, priors: PriorFile, trace: Trace) -> Fan:
+def prior_fan(campaign: Campaign, priors: PriorFile, trace: Trace) -> QuantileBand:
     """Bands of the force under the prior, without noise, for a test's motion."""
     posterior = Posterior(trace, priors, campaign.noise, campaign.force_model)
-    drawn = posterior.draw_prior(np.random.default_rng(0), PRIOR_DRAWS)
-    return fan_of("prior", posterior.force(drawn) + drawn["offset"][:, None])
+    draws = posterior.draw_prior(np.random.default_rng(0), PRIOR_DRAWS)
+    return fan_of("prior", posterior.force(draws) + draws["offset"][:, None])
 
 
-def share_inside(fan: Fan, trace: Trace) -> float:
+def share_inside(fan: QuantileBand, trace: Trace) -> float:
     """Share of the samples whose force is inside the widest band."""
     force, widest = np.asarray(trace.force), fan.widest
     return float(np.mean((force >= widest.lower) & (force <= widest.upper)))
@@ -130,33 +130,37 @@ def most_wrong(priors: PriorFile, model: Model, traces: Sequence[Trace]) -> Misf
 
     None where the records show no scales, or no prior can be compared with one.
     """
-    scales = [own for trace in traces if (own := scales_of(trace)) is not None]
-    misfits = (misfit for own in scales for misfit in _misfits(priors, own, model.standard_names))
-    return max(misfits, key=lambda misfit: misfit.away, default=None)
+    scales = [record_scales for trace in traces if (record_scales := scales_of(trace)) is not None]
+    misfits = (
+        misfit
+        for record_scales in scales
+        for misfit in _misfits(priors, record_scales, model.standard_names)
+    )
+    return max(misfits, key=lambda misfit: misfit.z, default=None)
 
 
 def _misfits(priors: PriorFile, scales: Scales, names: frozenset[str]) -> Iterator[Misfit]:
     """Each prior that a record shows something of, beside it."""
     slip = ("kip", scales.force, "the slip force of the loop")
     rise = ("kip/in", scales.build_up, "the slope at which the force comes back")
-    shown = {
+    estimates = {
         **dict.fromkeys(("Fc_fwd", "Fc_bwd", "Fy_fwd", "Fy_bwd"), slip),
         "sigma0": ("kip/in", scales.unloading, "the slope after a reversal"),
         **dict.fromkeys(("k3", "k", "k_fwd", "k_bwd"), rise),
         "d2": ("in", 0.5 * scales.length, "half the travel until the force has come back"),
     }
-    for name, (unit, value, source) in shown.items():
+    for name, (unit, value, source) in estimates.items():
         prior = priors.parameters.get(name)
         if prior is None or name not in names:
             continue
-        drawn = prior.draw(np.random.default_rng(0), 1001)
-        middle, at = prior.typical, value
+        draws = prior.draw(np.random.default_rng(0), 1001)
+        middle, estimate = prior.median, value
         if prior.on_half_line:
-            drawn, middle = np.log(drawn), float(np.log(middle))
-            at = float(np.log(value)) if value > 0.0 else np.nan
-        spread = float(np.std(drawn))
-        if spread > 0.0 and np.isfinite(at):
-            yield Misfit(name, unit, prior.typical, value, abs(at - middle) / spread, source)
+            draws, middle = np.log(draws), float(np.log(middle))
+            estimate = float(np.log(value)) if value > 0.0 else np.nan
+        spread = float(np.std(draws))
+        if spread > 0.0 and np.isfinite(estimate):
+            yield Misfit(name, unit, prior.median, value, abs(estimate - middle) / spread, source)
 
 
 def init(folder: Path, model: str = "", *, force: bool = False) -> tuple[Path, Draft, bool]:
@@ -190,11 +194,11 @@ def init_priors(path: Path, model: str = "", *, force: bool = False) -> tuple[Pa
         text = priors_of_model(campaign.force_model, [ranges_of(r) for r in records.values()])
     else:
         scales = {name: scales_of(record.trace()) for name, record in records.items()}
-        known = {name: scale for name, scale in scales.items() if scale is not None}
-        if not known:
+        known_scales = {name: scale for name, scale in scales.items() if scale is not None}
+        if not known_scales:
             raise CampaignError(f"no test of {path} has a force, so it shows no scales of priors")
         force_unit, length = (_usual_unit(records.values(), r) for r in ("force", "displacement"))
-        text = priors_text(known, force_unit, length)
+        text = priors_text(known_scales, force_unit, length)
     write_text(written, text)
     return written, campaign.priors == WRITTEN
 

@@ -14,7 +14,7 @@ from mfd_bayes.evaluation.summary import zero_pressure_sentences
 from mfd_bayes.friction.model import Model
 from mfd_bayes.messages import Message
 from mfd_bayes.population.design import Design, complete_laws
-from mfd_bayes.population.inference import swings
+from mfd_bayes.population.inference import actuation_varies
 from mfd_bayes.records.cross_checks import Tested, compare_tests
 from mfd_bayes.records.data_quality import SPOILED, Fault, Inspection, inspect_record
 from mfd_bayes.records.record import Record, read_record
@@ -23,7 +23,7 @@ from mfd_bayes.runs.folder import check_outputs
 from mfd_bayes.runs.manifest import (
     Finding,
 )
-from mfd_bayes.runs.unit_system import System, named_system, system_of
+from mfd_bayes.runs.unit_system import UnitSystem, named_system, system_of
 from mfd_bayes.store.files import write_bytes
 from mfd_bayes.units import split_quantity
 
@@ -39,7 +39,7 @@ def gap_of(model: Model, priors: PriorFile) -> float | None:
     return None if model.source and not model.has_gap else priors.gap
 
 
-def look_at(
+def inspect_test(
     campaign: Campaign, test: Test, record: Record, gap: float | None
 ) -> tuple[Inspection, list[Tested]]:
     """What a record shows by itself, and as it is compared with the others if it has a force.
@@ -65,14 +65,14 @@ def findings_together(
 ) -> list[tuple[str, Fault]]:
     """What the comparison of tests with each other, and with the priors of a model, shows."""
     gap = priors.gap if model.has_gap else None
-    found = compare_tests(tests, same_motion=not model.standard_names)
-    named = {name for name, fault in found if fault.name != "duplicate"}
+    faults = compare_tests(tests, same_motion=not model.standard_names)
+    named = {name for name, fault in faults if fault.name != "duplicate"}
     if not model.standard_names:  # its parameters may have the names of others
-        return found
-    beyond = [
+        return faults
+    prior_faults = [
         (t.id, fault) for t in tests if t.id not in named for fault in _beyond(t, priors, gap)
     ]
-    return [*found, *beyond]
+    return [*faults, *prior_faults]
 
 
 def findings_of(
@@ -86,13 +86,13 @@ def findings_of(
     They are faults, what a campaign asks for and the calibration does not do, and what tests at
     zero actuation do not tell.
     """
-    every = [*faults, *_of_settings(campaign, design, calibrated)]
-    found = [Finding(name, fault.name, fault.message) for name, fault in every]
-    told = [
+    all_faults = [*faults, *_of_settings(campaign, design, calibrated)]
+    findings = [Finding(name, fault.name, fault.message) for name, fault in all_faults]
+    law_findings = [
         Finding("laws", "zero actuation", Message("{text}", {"text": sentence}))
         for sentence in zero_pressure_sentences(design, [*calibrated])
     ]
-    return (*found, *told)
+    return (*findings, *law_findings)
 
 
 def _of_settings(
@@ -115,13 +115,13 @@ def _of_settings(
             f"{model.name} do not share: it is not used",
         )
         yield "laws", dependence
-    other = [name for name in model.slip_forces if design.laws.get(name) != "proportional"]
+    forces = [name for name in model.slip_forces if design.laws.get(name) != "proportional"]
     for name, trace in tests.items():
-        if swings(design, model, trace):
+        if actuation_varies(design, model, trace):
             changes = Fault.of(
                 "actuation history",
                 "its actuation changes: its own posterior takes friction in proportion to it, "
-                f"whatever the law of {' and '.join(other)}; the laws learn from it only the slip "
+                f"whatever the law of {' and '.join(forces)}; the laws learn from it only the slip "
                 "force at its mean actuation",
             )
             yield name, changes
@@ -129,15 +129,17 @@ def _of_settings(
 
 def laws_without(model: Model, laws: Mapping[str, str]) -> list[str]:
     """Names whose law was given by the campaign, and which the model lacks."""
-    taken = {other for name, other in model.laws_from.items() if laws.get(name) == laws.get(other)}
-    used = {*model.laws, *model.tied_laws, *taken}
-    given = {name: law for name, law in laws.items() if name in used}
-    found = []
+    sources = {
+        source for name, source in model.laws_from.items() if laws.get(name) == laws.get(source)
+    }
+    law_names = {*model.laws, *model.shared_laws, *sources}
+    model_laws = {name: law for name, law in laws.items() if name in law_names}
+    lacking = []
     for name, law in laws.items():
-        if name not in given and complete_laws(given).get(name, law) != law:
-            found.append(name)
-            given[name] = law  # others that follow it were not given
-    return found
+        if name not in model_laws and complete_laws(model_laws).get(name, law) != law:
+            lacking.append(name)
+            model_laws[name] = law  # others that follow it were not given
+    return lacking
 
 
 def _beyond(test: Tested, priors: PriorFile, gap: float | None) -> Iterator[Fault]:
@@ -173,7 +175,7 @@ def _beyond(test: Tested, priors: PriorFile, gap: float | None) -> Iterator[Faul
 
 def inspect(
     path: Path, folder: Path, *, force: bool = False, units: str = ""
-) -> tuple[list[tuple[Inspection, Path]], System]:
+) -> tuple[list[tuple[Inspection, Path]], UnitSystem]:
     """Inspection of a test file, or of every test of a campaign, and its PNG in `folder`.
 
     Its facts are in the units of a system, "us" or "si"; by default the records' own. That system
@@ -191,15 +193,15 @@ def inspect(
 
     pictures = [folder / f"{name}_inspect.png" for name in names]
     check_outputs(pictures, [path], force=force)
-    shown = [
+    converted = [
         _to_units(inspection, record, system)
         for inspection, record in zip(inspections, records, strict=True)
     ]
-    for inspection, picture in zip(shown, pictures, strict=True):
+    for inspection, picture in zip(converted, pictures, strict=True):
         title = f"{inspection.name}: as read"
         figure = draw_inspection(title, inspection.trace, inspection.faults, system)
         write_bytes(picture, to_png(figure))
-    return list(zip(shown, pictures, strict=True)), system
+    return list(zip(converted, pictures, strict=True)), system
 
 
 def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
@@ -209,7 +211,7 @@ def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
     priors = load_priors(campaign.priors, campaign.folder, campaign.force_model)
     gap, inspections, tested = gap_of(campaign.force_model, priors), [], []
     for test, record in zip(campaign.tests, records, strict=True):
-        inspection, compared = look_at(campaign, test, record, gap)
+        inspection, compared = inspect_test(campaign, test, record, gap)
         tested += compared
         if test.after:
             follows = Message("test {after}, without a reset", {"after": test.after})
@@ -222,10 +224,10 @@ def inspect_campaign(path: Path) -> tuple[list[Inspection], list[Record]]:
     ], records
 
 
-def system_of_records(records: Iterable[Record], units: str = "") -> System:
+def system_of_records(records: Iterable[Record], units: str = "") -> UnitSystem:
     """System of units of a name, else the one that fits the records' own units and sizes."""
     records = list(records)
-    own = system_of(
+    record_system = system_of(
         (record.columns["displacement"][1] for record in records),
         (record.force for record in records),
         (
@@ -237,10 +239,10 @@ def system_of_records(records: Iterable[Record], units: str = "") -> System:
         records[0].axes,
         (record.columns["force"][1] for record in records if "force" in record.columns),
     )
-    return named_system(units, own)
+    return named_system(units, record_system)
 
 
-def _to_units(inspection: Inspection, record: Record, system: System) -> Inspection:
+def _to_units(inspection: Inspection, record: Record, system: UnitSystem) -> Inspection:
     """The inspection of a record, its facts in the units of a system."""
     facts = {
         system.text(name): Message("{text}", {"text": fact.to_text(system)})

@@ -22,8 +22,8 @@ from mfd_bayes.campaign.campaign import Campaign, Test, load_campaign
 from mfd_bayes.campaign.schema import CampaignFile, NoiseName
 from mfd_bayes.errors import CampaignError, FitError, hash_file
 from mfd_bayes.friction.models import file_of
-from mfd_bayes.jobs.job import State
-from mfd_bayes.pipeline.inspect import findings_of, findings_together, gap_of, look_at
+from mfd_bayes.jobs.job import JobState
+from mfd_bayes.pipeline.inspect import findings_of, findings_together, gap_of, inspect_test
 from mfd_bayes.pipeline.options import Effort, RunOptions
 from mfd_bayes.population.design import Design, design_of
 from mfd_bayes.records.loops import measured_cycles
@@ -42,7 +42,7 @@ from mfd_bayes.runs.manifest import (
 )
 from mfd_bayes.runs.resume import with_keys
 from mfd_bayes.runs.tested_range import conditions_of
-from mfd_bayes.runs.unit_system import System
+from mfd_bayes.runs.unit_system import UnitSystem
 
 _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
 
@@ -52,14 +52,14 @@ _VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray
 FORCES, DRAWS, LONG = 50_000, 48, 5.0
 
 
-def effort_of(out: Path, effort: Effort, *, resume: bool) -> Effort:
+def effort_of(folder: Path, effort: Effort, *, resume: bool) -> Effort:
     """The effort that was typed, else that of the run which is resumed, else "standard".
 
-    `out` is a run folder, or one that holds a run folder for each model.
+    `folder` is a run folder, or one that holds a run folder for each model.
     """
     if effort:
         return effort
-    for path in [out / MANIFEST, *sorted(out.glob(f"*/{MANIFEST}"))] if resume else ():
+    for path in [folder / MANIFEST, *sorted(folder.glob(f"*/{MANIFEST}"))] if resume else ():
         if path.is_file():
             return cast(Effort, read_begun(path.parent).effort.name)
     return "standard"
@@ -77,7 +77,7 @@ class Plan:
     manifest: Manifest
 
     @property
-    def system(self) -> System:
+    def system(self) -> UnitSystem:
         """System of units of the records, of the size of their forces."""
         return self.manifest.system
 
@@ -113,8 +113,8 @@ def plan_campaign(
     campaign = load_campaign(path, model, noise)
     if campaign.force_model.source:
         check_symbols(campaign.force_model)
-    under = campaign.folder, campaign.force_model
-    priors = load_priors(campaign.priors, *under, of_others=campaign.replaced)
+    context = campaign.folder, campaign.force_model
+    priors = load_priors(campaign.priors, *context, of_others=campaign.replaced)
     gap = gap_of(campaign.force_model, priors)
     settings = campaign.settings
     inputs = {campaign.path.name: hash_file(campaign.path)}
@@ -127,7 +127,7 @@ def plan_campaign(
         trace = record.trace(campaign.rate, gap=gap)
         entries[test.id] = _entry(campaign, test, record, trace)
         inputs[_inside(campaign, test)] = record.sha256
-        inspection, compared = look_at(campaign, test, record, gap)
+        inspection, compared = inspect_test(campaign, test, record, gap)
         faults += [(test.id, fault) for fault in inspection.faults]
         tested += compared
         if test.role == "validate":
@@ -167,18 +167,18 @@ def _inside(campaign: Campaign, test: Test) -> str:
 
 def planned_design(tasks: Sequence[Task], settings: CampaignFile) -> Design:
     """Design of the population of the tests to calibrate."""
-    some = tasks[0]
-    posterior = some.posterior()
+    head = tasks[0]
+    posterior = head.posterior()
     names = posterior.names
     if "noise_sd" not in names:
         raise CampaignError(
-            f"noise_sd is fixed in {some.priors.path.name}: the population of tests needs a prior "
+            f"noise_sd is fixed in {head.priors.path.name}: the population of tests needs a prior "
             "of it, such as a narrow lognormal"
         )
     inference = settings.inference("quick", ())
-    under = [inference.setting(task.id, task.trace) for task in tasks]
+    test_settings = [inference.setting(task.id, task.trace) for task in tasks]
     laws, dependence = settings.laws, settings.dependence
-    return design_of(some.priors, names, under, laws, dependence, posterior.model)
+    return design_of(head.priors, names, test_settings, laws, dependence, posterior.model)
 
 
 def _read(campaign: Campaign, test: Test) -> Record:
@@ -195,12 +195,12 @@ def _read(campaign: Campaign, test: Test) -> Record:
 
 
 def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entry:
-    before, after = record.around(trace, campaign.since(test))
+    lead, tail = record.around(trace, campaign.since(test))
     measured = measured_cycles(record.trace())
     assert measured is not None  # a test has a force
     entry = Entry(
         role=test.role,
-        status=State.WAITING,
+        status=JobState.WAITING,
         samples=trace.samples,
         rate=(trace.samples - 1) / float(trace.time[-1] - trace.time[0]),
         record_rate=record.rate,
@@ -211,7 +211,7 @@ def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entr
         derived=record.derived,
         measured=measured.to_content(),
     )
-    return entry.model_copy(update={"before": before, "after": after}) if test.window else entry
+    return entry.model_copy(update={"before": lead, "after": tail}) if test.window else entry
 
 
 def _task(
@@ -236,8 +236,8 @@ def _task(
         checks_noise=campaign.settings.checks_noise(options.effort),
     )
     posterior = task.posterior()
-    drawn = posterior.draw_prior(np.random.default_rng(0), 64)
-    if not np.any(np.isfinite(posterior.log_prob(posterior.coordinates(drawn)))):
+    draws = posterior.draw_prior(np.random.default_rng(0), 64)
+    if not np.any(np.isfinite(posterior.log_prob(posterior.coordinates(draws)))):
         raise FitError(
             f"the priors of {priors.path.name} have no mass at any start for test {test.id!r}: "
             "none of 64 prior draws gives a usable force"

@@ -21,7 +21,7 @@ from mfd_bayes.runs.folder import (
     check_places,
 )
 from mfd_bayes.runs.manifest import (
-    Verdict,
+    CheckStatus,
     read_manifest,
 )
 from mfd_bayes.runs.run import Run, open_run
@@ -34,13 +34,13 @@ def report(
     options: ReportOptions, observe: Observe = lambda _: None, *, jobs: int = 0
 ) -> CampaignView:
     """Write the tables, figures and report of a finished run, from its stored results."""
-    out = options.out
-    check_forms(options, tuple(read_manifest(out).tests))  # no lock for what is no finished run
+    folder = options.out
+    check_forms(options, tuple(read_manifest(folder).tests))  # no lock for what is no finished run
     if Workplace(jobs).processes > 1:
         get_ready()
-    with alone_in(out):
-        check_places(out)
-        run = open_run(out, trust=options.trust_model)
+    with alone_in(folder):
+        check_places(folder)
+        run = open_run(folder, trust=options.trust_model)
         return write_report(run, observe, jobs=jobs, options=options)
 
 
@@ -52,7 +52,9 @@ def write_report(
 
     options = options or ReportOptions(run.folder)
     try:
-        at = [parse_condition(text, run.actuation_unit, run.system.axes) for text in options.at]
+        conditions = [
+            parse_condition(text, run.actuation_unit, run.system.axes) for text in options.at
+        ]
     except MfdError as error:
         raise ReportError(f"--at: {error}") from error
     processes = Workplace(jobs).processes
@@ -70,18 +72,20 @@ def write_report(
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
     observe(Step("report", "data sheet"))
-    sheet = datasheet(replace(run, units=system.name), at) if run.tests else None
+    sheet = datasheet(replace(run, units=system.name), conditions) if run.tests else None
     publish(view, options, processes, observe, sheet, additions)
     return view
 
 
-def check(out: Path, units: str = "", *, trust_model: bool = False) -> CampaignView:
+def check(folder: Path, units: str = "", *, trust_model: bool = False) -> CampaignView:
     """Report of a finished run with the checks that `mfd-bayes check` shows; writes nothing.
 
     Its sentences are in the units of a system, "us" or "si"; by default the campaign's.
     """
-    run = open_run(out, trust=trust_model)
+    run = open_run(folder, trust=trust_model)
     metric = named_system(units, run.system).name == SI.name
     view = assess(run)
-    checks = [c for c in view.checks if c.check not in IDENTIFIABILITY or c.status != Verdict.PASS]
+    checks = [
+        c for c in view.checks if c.check not in IDENTIFIABILITY or c.status != CheckStatus.PASS
+    ]
     return replace(view, metric=metric, checks=tuple(checks))

@@ -16,8 +16,8 @@ from mfd_bayes.calibration.priors import RANGE
 from mfd_bayes.calibration.result import Extras, needed
 from mfd_bayes.errors import MOST_DRAWS, FitError, real_number, whole_number
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.design import Design, Setting, setting_of
-from mfd_bayes.population.population import Ending, Numbers, Population, slip_force_of
+from mfd_bayes.population.design import Design, TestConditions, setting_of
+from mfd_bayes.population.population import FinalState, Latents, Population, slip_force_of
 from mfd_bayes.records.trace import Trace, check_magnitude
 from mfd_bayes.store.cards import card
 from mfd_bayes.units import percent
@@ -44,7 +44,7 @@ SHARE_DRAWS = 300  # most draws by which the shares of a band's variance are com
 
 
 @dataclass(frozen=True)
-class Forecast:
+class PredictionOptions:
     """Settings of a prediction."""
 
     kind: str = "new_test"  # one of KINDS
@@ -53,14 +53,14 @@ class Forecast:
     seed: int = 0
     session: str = ""  # of the predicted test, where the campaign declares sessions
     whole: bool = False  # whether the band of the whole history is shown too
-    before: Ending | None = field(default=None, repr=False, compare=False)  # without a reset
+    before: FinalState | None = field(default=None, repr=False, compare=False)  # without a reset
     device: str = ""  # likewise, where it declares devices
     conditions: Mapping[str, float] = field(default_factory=dict)  # of `design.CONDITIONS`
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise FitError(f"unknown kind {self.kind!r}: expected one of {', '.join(KINDS)}")
-        real_number("probability", self.probability, FitError, (0.0, 1.0), inside=True)
+        real_number("probability", self.probability, FitError, (0.0, 1.0), exclusive=True)
         whole_number("draws", self.draws, FEWEST, FitError, MOST_DRAWS)
         whole_number("seed", self.seed, 0, FitError)
         for name in ("session", "device"):
@@ -68,7 +68,7 @@ class Forecast:
                 raise FitError(f"{name} must be text, got {getattr(self, name)!r}")
         check_flag("whole", self.whole)
 
-    def setting(self, trace: Trace) -> Setting:
+    def setting(self, trace: Trace) -> TestConditions:
         """Setting of the predicted test under a motion."""
         return setting_of(trace, self.session, self.device, self.conditions)
 
@@ -139,7 +139,7 @@ class Band:
         cls,
         time: Array,
         draws: Array,
-        forecast: Forecast,
+        forecast: PredictionOptions,
         source: str,
         values: Mapping[str, Array] | None = None,
     ) -> Band:
@@ -158,11 +158,11 @@ class Band:
         return whole_band(self.draws, self.probability)
 
     @cached_property
-    def shares(self) -> Mapping[str, float]:
+    def variance_shares(self) -> Mapping[str, float]:
         """What makes the band wide: share of each source in the variance; their sum is 1.
 
         Each source varies by itself, the others at their means. Empty for several models at once,
-        of a `Forecaster`, and where nothing varies.
+        of a `OnlinePredictor`, and where nothing varies.
         """
         return self.explain() if self.explain else {}
 
@@ -223,7 +223,7 @@ def holds_whole(draws: Array, observed: Array, probability: float = 0.95) -> boo
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class PredictiveDraws:
     """Ingredients of the n draws of a prediction."""
 
     # (n, d) each, in prior units: parts of the coordinates of what tests share, as in
@@ -244,15 +244,15 @@ class Predictor:
     model: Model
     noise: Noise
 
-    def predict(self, trace: Trace, forecast: Forecast) -> Band:
+    def predict(self, trace: Trace, forecast: PredictionOptions) -> Band:
         """Band of the force under a motion and an actuation, tested or not."""
         rng = np.random.default_rng(forecast.seed)
         drawn = self.draw(trace, forecast, rng)
         scatter = "" if forecast.kind == "mean" else " with scatter"
         laws = "laws" if self.population.design.laws else "medians"
-        return self.finish(trace, forecast, drawn, rng, f"population {laws}{scatter}")
+        return self.to_band(trace, forecast, drawn, rng, f"population {laws}{scatter}")
 
-    def repeat(self, trace: Trace, forecast: Forecast, own: Mapping[str, Array]) -> Band:
+    def repeat(self, trace: Trace, forecast: PredictionOptions, own: Mapping[str, Array]) -> Band:
         """Band of the force of one calibrated test under a motion: the kind `this_test`.
 
         The place in the gap at the start is unknown, unless a test is before it.
@@ -261,11 +261,15 @@ class Predictor:
         pick = rng.choice(len(next(iter(own.values()))), size=forecast.draws)
         x = coordinates.of({name: own[name][pick] for name in coordinates.names})
         drawn = self.draw(trace, forecast, rng, x[:, : len(self.population.design.names)])
-        return self.finish(trace, forecast, drawn, rng, "posterior draws of this test")
+        return self.to_band(trace, forecast, drawn, rng, "posterior draws of this test")
 
     def draw(
-        self, trace: Trace, forecast: Forecast, rng: np.random.Generator, x: Array | None = None
-    ) -> Drawn:
+        self,
+        trace: Trace,
+        forecast: PredictionOptions,
+        rng: np.random.Generator,
+        x: Array | None = None,
+    ) -> PredictiveDraws:
         """Drawn tests under a motion, with all but their noise; of coordinates x (n, d) if given.
 
         They begin where the test before ended, if there is one.
@@ -275,7 +279,7 @@ class Predictor:
         index = population.draw_index(n, setting.actuation, rng)
         numbers = population.draw_numbers(n, grid.size, rng)
         scatter = forecast.kind != "mean"
-        drawn = self.drawn(trace, setting, index, numbers, grid, scatter=scatter, x=x)
+        drawn = self.sample_conditional(trace, setting, index, numbers, grid, scatter=scatter, x=x)
         drawn = replace(drawn, knots=population.residual.draw_knots(rng, n))
         if forecast.before is None or not self.model.has_gap:
             return drawn
@@ -285,18 +289,18 @@ class Predictor:
         return replace(drawn, unshared={**drawn.unshared, "start": start})
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def drawn(
+    def sample_conditional(
         self,
         trace: Trace,
-        setting: Setting,
+        setting: TestConditions,
         index: Index,
-        numbers: Numbers,
+        numbers: Latents,
         grid: Array,
         *,
         scatter: bool = True,
         x: Array | None = None,
         motion: Trace | None = None,
-    ) -> Drawn:
+    ) -> PredictiveDraws:
         """Tests under a motion, with deviations on a grid of actuations (G,); δ is at its mean.
 
         `x` (n, d) are their coordinates where these are given, and `motion` is the whole motion
@@ -314,14 +318,16 @@ class Predictor:
             history = np.asarray(trace.actuation)
             scales = population.scales(self.model, history, index, level, effects)
         mean = population.residual.mean
-        return Drawn(*parts, unshared, scales, np.broadcast_to(mean, (len(index), mean.size)))
+        return PredictiveDraws(
+            *parts, unshared, scales, np.broadcast_to(mean, (len(index), mean.size))
+        )
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def finish(
+    def to_band(
         self,
         trace: Trace,
-        forecast: Forecast,
-        drawn: Drawn,
+        forecast: PredictionOptions,
+        drawn: PredictiveDraws,
         rng: np.random.Generator,
         source: str,
         part: slice = slice(None),
@@ -341,7 +347,7 @@ class Predictor:
         band = Band.of(trace.time[part], force[:, part], forecast, source, shown)
         return replace(band, explain=partial(self._shares, trace, drawn, part))
 
-    def values(self, drawn: Drawn) -> dict[str, Array]:
+    def values(self, drawn: PredictiveDraws) -> dict[str, Array]:
         """Quantities of drawn tests, by name, (n,) each."""
         return {**self.population.values(drawn.mean + drawn.scatter), **drawn.unshared}
 
@@ -354,14 +360,14 @@ class Predictor:
         along = {k: np.broadcast_to(v, (len(theta), trace.samples)) for k, v in scales.items()}
         return self.model.force_unbounded(theta, trace, start, scales=along or None)
 
-    def force(self, trace: Trace, drawn: Drawn) -> Array:
+    def force(self, trace: Trace, drawn: PredictiveDraws) -> Array:
         """The damper's force with the discrepancy of the model, (n, T), kip."""
         values = self.values(drawn)
         slip = slip_force_of(self.model, values)
         force = self.model_force(trace, values, drawn.scales)
         return force + self.population.residual.discrepancy(trace, slip, drawn.knots)
 
-    def total(self, trace: Trace, drawn: Drawn) -> Array:
+    def total(self, trace: Trace, drawn: PredictiveDraws) -> Array:
         """Force of drawn tests, with noise and offset where they have noise, (n, T), kip."""
         force = self.force(trace, drawn)
         if drawn.noise is None:
@@ -369,7 +375,7 @@ class Predictor:
         return force + self.values(drawn)["offset"][:, None] + drawn.noise
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def _shares(self, trace: Trace, drawn: Drawn, part: slice) -> dict[str, float]:
+    def _shares(self, trace: Trace, drawn: PredictiveDraws, part: slice) -> dict[str, float]:
         """Share of each source in the mean variance: one varies, the others are at their means."""
         few, design = slice(SHARE_DRAWS), self.population.design
 
@@ -377,7 +383,7 @@ class Predictor:
             return np.broadcast_to(values.mean(axis=0), values[few].shape)
 
         start, noise = drawn.unshared["start"][few], drawn.noise
-        fixed = Drawn(
+        fixed = PredictiveDraws(
             mean(drawn.mean),
             np.zeros_like(drawn.scatter[few]),
             {name: np.full(v[few].shape, np.median(v)) for name, v in drawn.unshared.items()},

@@ -32,8 +32,14 @@ from mfd_bayes.calibration.diagnostics import psis, systematic
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.errors import FitError, RecordError, real_numbers
 from mfd_bayes.friction.model import Model
-from mfd_bayes.population.bands import Band, Drawn, Forecast, Predictor, check_flag
-from mfd_bayes.population.design import ZERO, Setting
+from mfd_bayes.population.bands import (
+    Band,
+    PredictionOptions,
+    PredictiveDraws,
+    Predictor,
+    check_flag,
+)
+from mfd_bayes.population.design import ZERO, TestConditions
 from mfd_bayes.population.mixed_model import LARGEST_K
 from mfd_bayes.population.population import Residual, slip_force_of, strokes_of
 from mfd_bayes.records.record import checked_window
@@ -60,7 +66,7 @@ ONE_SD = (0.15866, 0.5, 0.84134)  # shares of a normal distribution at one sd on
 
 
 @dataclass(frozen=True)
-class Conditioned:
+class ConditioningSummary:
     """The given part of a record, and how the population's draws took it in."""
 
     window: tuple[float, float]  # s
@@ -133,7 +139,7 @@ class PartialTest:
     """
 
     predictor: Predictor
-    setting: Setting
+    setting: TestConditions
     grid: Array
     motion: Trace | None = None
 
@@ -144,10 +150,12 @@ class PartialTest:
         size = n, population.count_numbers(self.grid.size)
         return Particles(index, rng.standard_normal(size))
 
-    def drawn(self, p: Particles, part: Trace, *, scatter: bool = True) -> Drawn:
+    def sample_conditional(
+        self, p: Particles, part: Trace, *, scatter: bool = True
+    ) -> PredictiveDraws:
         """Tests of the particles under a part of the motion."""
         numbers, motion = self.predictor.population.numbers(p.numbers, self.grid.size), self.motion
-        return self.predictor.drawn(
+        return self.predictor.sample_conditional(
             part, self.setting, p.draw, numbers, self.grid, scatter=scatter, motion=motion
         )
 
@@ -158,7 +166,11 @@ class PartialTest:
         Of all counted samples (T,) the first one counts as an independent sample.
         """
         residual, model = self.predictor.population.residual, self.predictor.model
-        drawn, rows, strokes = self.drawn(p, part), np.flatnonzero(counted), strokes_of(part)
+        drawn, rows, strokes = (
+            self.sample_conditional(p, part),
+            np.flatnonzero(counted),
+            strokes_of(part),
+        )
         values, functions = self.predictor.values(drawn), residual.basis(part)
         slip, measured = slip_force_of(model, values), np.asarray(part.force)
         force = self.predictor.model_force(part, values, drawn.scales)[:, rows]
@@ -179,7 +191,7 @@ class PartialTest:
 
     def condition(
         self, part: Trace, counted: Mask, n: int, rng: np.random.Generator
-    ) -> tuple[Particles, Array, Conditioned]:
+    ) -> tuple[Particles, Array, ConditioningSummary]:
         """Particles given the counted samples of a part, n or some more, with log weights."""
         p = self.draw(n + -n % ISLANDS, rng)
         log, power, stages, beta = self.log_likelihood(p, part, counted), 0.0, 0, 1.0
@@ -200,7 +212,7 @@ class PartialTest:
                     continue
                 if power < 1.0 or (effective := self._effective(p, part)) >= 2 * FEWEST:
                     break
-        conditioned = Conditioned(
+        conditioned = ConditioningSummary(
             window=(float(part.time[counted][0]), float(part.time[counted][-1])),
             samples=int(counted.sum()),
             pareto_k=k,
@@ -258,7 +270,7 @@ class PartialTest:
         """Effective number of draws of the worst quantity, by the means of islands' ranks."""
         from scipy.stats import rankdata  # which takes long to import
 
-        values = self.predictor.values(self.drawn(p, part))
+        values = self.predictor.values(self.sample_conditional(p, part))
         ranks = rankdata(np.column_stack([*values.values()]), axis=0)
         islands = ranks.reshape(ISLANDS, -1, ranks.shape[1])
         between = islands.mean(axis=1).var(axis=0, ddof=1)
@@ -301,7 +313,7 @@ def effective_draws(log_weights: Array) -> float:
     return float(w.sum() ** 2 / np.sum(w**2))
 
 
-def check_kind(forecast: Forecast) -> None:
+def check_kind(forecast: PredictionOptions) -> None:
     """Refuse kinds of which a given part says nothing."""
     if forecast.kind not in ALLOWED:
         raise FitError(
@@ -310,7 +322,7 @@ def check_kind(forecast: Forecast) -> None:
         )
 
 
-def usual_step(residual: Residual, setting: Setting) -> float:
+def usual_step(residual: Residual, setting: TestConditions) -> float:
     """Time between samples, s, at which a motion of such a peak speed would be fitted."""
     own = -residual.noise_time * np.log(residual.lag_one)
     speed = setting.covariates.get("velocity", 0.0)
@@ -327,7 +339,7 @@ def block_size(time: Array, step: float) -> int:
 
 
 def predict_given(
-    predictor: Predictor, trace: Trace, forecast: Forecast, window: tuple[float, float]
+    predictor: Predictor, trace: Trace, forecast: PredictionOptions, window: tuple[float, float]
 ) -> Band:
     """Band of a record of which a part is known; all of it, with the given part."""
     check_kind(forecast)
@@ -344,16 +356,16 @@ def given_band(
     test: PartialTest,
     p: Particles,
     trace: Trace,
-    forecast: Forecast,
-    given: Conditioned,
+    forecast: PredictionOptions,
+    given: ConditioningSummary,
     rng: np.random.Generator,
     samples: int = 0,
 ) -> Band:
     """Band of particles that took a part in: of all samples of a motion, or of so many last."""
     knots = test.predictor.population.residual.draw_knots(rng, len(p.draw))
-    drawn = replace(test.drawn(p, trace), knots=knots)
+    drawn = replace(test.sample_conditional(p, trace), knots=knots)
     source = f"population laws with scatter, and {given.sentence}"
-    band = test.predictor.finish(trace, forecast, drawn, rng, source, slice(-samples, None))
+    band = test.predictor.to_band(trace, forecast, drawn, rng, source, slice(-samples, None))
     return replace(band, given=given, remarks=(*band.remarks, *given.remarks))
 
 
@@ -405,7 +417,7 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[
 # --- samples that arrive --------------------------------------------------------------------------
 
 
-class Forecaster:
+class OnlinePredictor:
     """Predicts a test while it runs; made by `Run.follow`.
 
     Attributes
@@ -418,7 +430,12 @@ class Forecaster:
     complete: Callable[[Band, Trace], Band]
 
     def __init__(
-        self, predictor: Predictor, setting: Setting, forecast: Forecast, *, refresh: bool = True
+        self,
+        predictor: Predictor,
+        setting: TestConditions,
+        forecast: PredictionOptions,
+        *,
+        refresh: bool = True,
     ) -> None:
         check_kind(forecast)
         check_flag("refresh", refresh)
@@ -521,7 +538,7 @@ class Forecaster:
     def _values_of(self, p: Particles, *, scatter: bool = True) -> dict[str, Array]:
         """Quantities of particles by name, (n,) each."""
         still = Trace.from_arrays([0.0, 1.0, 2.0], np.zeros(3), self._level, np.zeros(3))
-        return self._predictor.values(self._test.drawn(p, still, scatter=scatter))
+        return self._predictor.values(self._test.sample_conditional(p, still, scatter=scatter))
 
     def _log_likelihood(self) -> Array:
         """Log likelihood of the force so far, (n,); 0 before there is a trace of it."""
@@ -650,7 +667,7 @@ class Forecaster:
         self._check_actuation(np.nan_to_num(np.asarray(trace.actuation)))
         log_weights, k = self._weights(trusted=True)
         window, samples = (self._first, self._last), self._rows.shape[1]
-        given = Conditioned(window, samples, k, effective_draws(log_weights), self._stages)
+        given = ConditioningSummary(window, samples, k, effective_draws(log_weights), self._stages)
         actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)
         planned = np.where(np.isnan(actuation), self._rows[2, -1], actuation)
         future = np.stack([trace.time, trace.displacement, planned, np.zeros(trace.samples)])

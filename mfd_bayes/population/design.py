@@ -82,7 +82,7 @@ EXPONENT = (1.0, 0.5)
 SENSITIVITY = 0.1
 LARGEST = 1e100  # largest ratio that a law gives, so that what is computed from it is finite
 # parameters that have the law of another, and which
-TIED = {name: other for m in models.MODELS.values() for name, other in m.tied_laws.items()}
+TIED = {name: other for m in models.MODELS.values() for name, other in m.shared_laws.items()}
 INTERCEPTS = {"sigma0_0": "kip/in"} | {
     f"{name}_0": "kip" for name in ("Fc_fwd", "Fc_bwd", "Fy_fwd", "Fy_bwd")
 }
@@ -105,7 +105,7 @@ def complete_laws(given: Mapping[str, str]) -> dict[str, str]:
         for name, default in model.laws.items():
             other = model.laws_from.get(name, "")
             laws[name] = given.get(name, laws.get(other, default))
-        for name, followed in model.tied_laws.items():
+        for name, followed in model.shared_laws.items():
             laws[name] = given.get(name, laws[followed])
     return laws
 
@@ -183,8 +183,10 @@ DRAWS = 4000  # prior draws by which the centre and the spread of the coordinate
 
 
 @dataclass(frozen=True)
-class Setting:
+class TestConditions:
     """Conditions of a test."""
+
+    __test__ = False  # for pytest
 
     actuation: float  # ksi or kip
     session: str = ""  # tests of one session were made together; "" where none is declared
@@ -199,7 +201,7 @@ def setting_of(
     session: str = "",
     device: str = "",
     conditions: Mapping[str, float] | None = None,
-) -> Setting:
+) -> TestConditions:
     """Setting under which a trace was made, or is to be predicted."""
     check_trace("trace", trace, FitError)
     if not np.isfinite(trace.reference_actuation):
@@ -213,15 +215,15 @@ def setting_of(
         "full_strokes": float(full / max(strokes.sum(), 1e-300)),
     }
     covariates |= conditions or {}
-    return Setting(trace.reference_actuation, session, covariates, device)
+    return TestConditions(trace.reference_actuation, session, covariates, device)
 
 
 def planned_setting(
-    tested: Sequence[Setting],
+    tested: Sequence[TestConditions],
     actuation: float,
     session: str,
     planned: Mapping[str, float | None],
-) -> Setting:
+) -> TestConditions:
     """Setting of a test before it is made."""
     units = {"velocity": "in/s", "amplitude": "in"}
     level = real_number("the planned actuation", actuation, FitError, (0.0, np.inf))
@@ -232,8 +234,8 @@ def planned_setting(
             covariates[name] = geometric_mean(found) if found else 1.0
         else:
             what = f"the planned {name} ({units.get(name, '1')})"
-            covariates[name] = real_number(what, value, FitError, (0.0, np.inf), inside=True)
-    return Setting(level, session, covariates)
+            covariates[name] = real_number(what, value, FitError, (0.0, np.inf), exclusive=True)
+    return TestConditions(level, session, covariates)
 
 
 def same_level(actuation: float, other: float) -> bool:
@@ -241,7 +243,7 @@ def same_level(actuation: float, other: float) -> bool:
     return abs(actuation - other) <= SAME_LEVEL * max(actuation, other)
 
 
-def levels_of(settings: Sequence[Setting]) -> list[list[int]]:
+def levels_of(settings: Sequence[TestConditions]) -> list[list[int]]:
     """Indices of the tests at each level of actuation, lowest level first."""
     levels: list[list[int]] = []
     for j in np.argsort([setting.actuation for setting in settings]).tolist():
@@ -252,7 +254,7 @@ def levels_of(settings: Sequence[Setting]) -> list[list[int]]:
     return levels
 
 
-def with_zeros(settings: Sequence[Setting]) -> tuple[Setting, ...]:
+def with_zeros(settings: Sequence[TestConditions]) -> tuple[TestConditions, ...]:
     """The settings with an actuation of zero where it is next to nothing."""
     actuation = np.array([setting.actuation for setting in settings])
     if not (np.all(actuation >= 0) and np.max(actuation) > 0):
@@ -264,7 +266,7 @@ def with_zeros(settings: Sequence[Setting]) -> tuple[Setting, ...]:
     return tuple(replace(s, actuation=0.0) if z else s for s, z in zip(settings, zero, strict=True))
 
 
-def varies(settings: Sequence[Setting], covariate: str) -> bool:
+def varies(settings: Sequence[TestConditions], covariate: str) -> bool:
     """Whether a covariate varies between settings by more than a fifth."""
     values = [setting.covariates.get(covariate, 0.0) for setting in settings]
     return min(values) > 0.0 and max(values) > 1.2 * min(values)
@@ -275,13 +277,13 @@ def geometric_mean(values: Sequence[float]) -> float:
     return float(np.exp(np.mean(np.log(values))))
 
 
-def folds_beyond(setting: Setting, tested: Sequence[Setting]) -> tuple[float, float]:
+def folds_beyond(setting: TestConditions, tested: Sequence[TestConditions]) -> tuple[float, float]:
     """E-folds by which the stroke, and speed or frequency, lie outside those of the tests.
 
     Of speed and frequency the one that lies farther outside counts.
     """
 
-    def logs(s: Setting) -> Array:
+    def logs(s: TestConditions) -> Array:
         stroke, speed = (np.log(s.covariates.get(n) or np.nan) for n in ("amplitude", "velocity"))
         return np.array([stroke, speed, speed - stroke])
 
@@ -377,7 +379,7 @@ class Coordinates:
     def of(self, values: Mapping[str, Array]) -> Array:
         """Coordinates x (n, D) of quantities by name, (n,) each; of a missing one, its median."""
         n = max(np.size(value) for value in values.values())
-        filled = {**{k: np.full(n, self.priors[k].typical) for k in self.names}, **values}
+        filled = {**{k: np.full(n, self.priors[k].median) for k in self.names}, **values}
         q = [self.priors[name].coordinate(np.atleast_1d(filled[name])) for name in self.names]
         return (self._compared(np.stack(q, axis=1)) - self.centre) / self.spread
 
@@ -412,7 +414,7 @@ class Design:
     spread: Array  # (d,): prior units
     laws: Mapping[str, str]  # of each quantity that follows the actuation; or "compare"
     dependence: Mapping[str, tuple[str, ...]]  # covariates that quantities follow
-    settings: tuple[Setting, ...]  # of the tests
+    settings: tuple[TestConditions, ...]  # of the tests
     groups: Mapping[str, str]  # scatter group of each quantity
     scatter_sd: Array  # (d,): scale of the prior of τ
     common: NDArray[np.bool_]  # (d,): quantities that are the same in all tests
@@ -442,7 +444,7 @@ class Design:
         """Devices of the tests, each once."""
         return tuple(dict.fromkeys(s.device for s in self.settings))
 
-    def home(self, effect: str, setting: Setting) -> object:
+    def home(self, effect: str, setting: TestConditions) -> object:
         """Cell, session or device of a setting."""
         return self.cell_of(setting) if effect == "level" else getattr(setting, effect)
 
@@ -511,7 +513,7 @@ class Design:
         sd[len(self.names) :][[c in CONDITIONS for c in pairs]] = DRIFT
         return sd
 
-    def changed(self, covariate: str, setting: Setting) -> float:
+    def changed(self, covariate: str, setting: TestConditions) -> float:
         """Change of a condition from the mean of the tests, over their span.
 
         A setting that does not say it has the latest date or count of the tests, and their mean
@@ -539,7 +541,7 @@ class Design:
         zero = any(s.actuation == 0 for s in self.settings)
         return tuple(name for name in LAWS if LAWS[name].intercept or not zero)
 
-    def cell_of(self, setting: Setting) -> Cell:
+    def cell_of(self, setting: TestConditions) -> Cell:
         """Session, and the actuation of calibrated tests at the setting's level, if any."""
         near = [s.actuation for s in self.settings if same_level(s.actuation, setting.actuation)]
         return setting.session, near[0] if near else setting.actuation
@@ -565,7 +567,7 @@ class Design:
         Weights (m, cells), and covariance (m, m) of what the cells do not tell, for an sd of 1.
         """
         levels = np.atleast_1d(actuations)
-        cells = [self.cell_of(Setting(float(level), session)) for level in levels]
+        cells = [self.cell_of(TestConditions(float(level), session)) for level in levels]
         own = self.level_covariance(self.cells, self.cells) + 1e-9 * np.eye(len(self.cells))
         across = self.level_covariance(cells, self.cells)
         weights = np.asarray(np.linalg.solve(own, across.T).T)
@@ -577,7 +579,7 @@ class Design:
         rest[tested], rest[:, tested] = 0.0, 0.0
         return weights, 0.5 * (rest + rest.T)
 
-    def row(self, setting: Setting, *, level_effects: bool = True) -> Array:
+    def row(self, setting: TestConditions, *, level_effects: bool = True) -> Array:
         """Weights of the linear coefficients z under a setting, (Z,), of a tested level or none."""
         parts: list[Array] = [np.ones(len(self.names))]
         for name, those in self.dependence.items():
@@ -637,7 +639,7 @@ class Design:
 def design_of(
     priors: PriorFile,
     names: Sequence[str],
-    settings: Sequence[Setting],
+    settings: Sequence[TestConditions],
     laws: Mapping[str, str] | None = None,
     dependence: Mapping[str, Sequence[str]] | None = None,
     model: Model | None = None,

@@ -56,7 +56,7 @@ RANDOM_WALK = 0.6  # sd of the random walk of the coordinates of h
 # --- exact posterior ------------------------------------------------------------------------------
 
 
-class State(NamedTuple):
+class ChainState(NamedTuple):
     """All chains, n of them."""
 
     h: Array  # (n, dim)
@@ -65,7 +65,7 @@ class State(NamedTuple):
     excess: Array  # (n, J): exact less approximate log density of each test
 
 
-class Draws(NamedTuple):
+class PopulationDraws(NamedTuple):
     """Kept draws, ordered by walker, and their convergence."""
 
     h: Array  # (chain, draw, dim)
@@ -133,11 +133,11 @@ class ExactSampler:
         mean[..., local] += forward(inner, pull)
         return mean, np.asarray(np.linalg.cholesky(inner))
 
-    def _at(self, h: Array, z: Array, e: Array) -> State:
+    def _at(self, h: Array, z: Array, e: Array) -> ChainState:
         """State with standard normal numbers e (n, J, L) of the tests."""
         x, factor = self._conditional(h, z)
         x[..., self.local] += backward(factor, e)
-        return State(h, z, x, self._excess(x))
+        return ChainState(h, z, x, self._excess(x))
 
     def _excess(self, x: Array) -> Array:
         """Exact less approximate log density of each test, (n, J)."""
@@ -174,7 +174,7 @@ class ExactSampler:
         self._keep(s, new)
         better = new.excess.sum(axis=1) - s.excess.sum(axis=1)
         accepted = np.log(rng.random(len(better))) < better
-        self.state = State(
+        self.state = ChainState(
             *(
                 np.where(accepted.reshape(-1, *[1] * (a.ndim - 1)), b, a)
                 for a, b in zip(s, new, strict=True)
@@ -192,7 +192,7 @@ class ExactSampler:
         """Standard normal numbers near others."""
         return np.sqrt(1.0 - beta**2) * e + beta * self.rng.standard_normal(e.shape)
 
-    def _keep(self, state: State, new: State) -> None:
+    def _keep(self, state: ChainState, new: ChainState) -> None:
         """Keep a proposal for the next fit."""
         if self.warming_up:
             possible = np.isfinite(new.excess)
@@ -272,7 +272,7 @@ class ExactSampler:
         limit: int,
         kept: int,
         report: Callable[[int, Convergence], None],
-    ) -> Draws:
+    ) -> PopulationDraws:
         """Sweep until targets or limit are reached; `kept` draws of each group are kept."""
         for step in range(1, (REFITS + 1) * WARM_UP + 1):
             self.sweep()
@@ -308,4 +308,4 @@ class ExactSampler:
 
         tests, together = (float(np.mean(r)) for r in zip(*self.rates, strict=True))
         kept_draws = by_chain(h[::stride]), by_chain(z[::stride]), by_chain(x)
-        return Draws(*kept_draws, found, len(h), (tests, together))
+        return PopulationDraws(*kept_draws, found, len(h), (tests, together))

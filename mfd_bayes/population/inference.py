@@ -34,7 +34,7 @@ from mfd_bayes.population.design import (
     LEVELS,
     TESTS,
     Design,
-    Setting,
+    TestConditions,
     design_of,
     levels_of,
     setting_of,
@@ -61,9 +61,9 @@ from mfd_bayes.population.mixed_model import (
     free_exponents,
 )
 from mfd_bayes.population.population import (
+    InitialGapPrior,
     LawDraws,
     Population,
-    Starts,
     place_left,
     without_load,
 )
@@ -94,7 +94,7 @@ class InferenceSettings:
     # date, count of cycles and temperature of each test, where they are known
     conditions: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
-    def setting(self, name: str, trace: Trace) -> Setting:
+    def setting(self, name: str, trace: Trace) -> TestConditions:
         """Setting of a test."""
         session, device = self.sessions.get(name, ""), self.devices.get(name, "")
         return setting_of(trace, session, device, self.conditions.get(name, {}))
@@ -234,14 +234,14 @@ def _likelihoods(
         usual = () if {*those} - {*CONDITIONS} else dependence.get(name, ())
         dependence[name] = (*usual, *those)
     design = design_of(priors, names, under, settings.laws, dependence, model)
-    changing = [swings(design, model, test.trace) for test in tests.values()]
+    changing = [actuation_varies(design, model, test.trace) for test in tests.values()]
     if any(changing):
         # a test need not follow the law that others tell: it has shapes to itself
         shapes = [f"{s}_{n}" for n in slips for s in ("share", "exponent")]
         every = [*names, *shapes]
         design = design_of(priors, every, under, settings.laws, dependence, model)
     followed = {n: n for n in design.laws if n in model.parameters}
-    followed |= {n: o for n, o in model.tied_laws.items() if o in followed}
+    followed |= {n: o for n, o in model.shared_laws.items() if o in followed}
     laws = {n: (o, *usual_shapes(design.laws[o])) for n, o in followed.items()}
     found = []
     for test, changes in zip(tests.values(), changing, strict=True):
@@ -252,7 +252,7 @@ def _likelihoods(
     return design, found
 
 
-def swings(design: Design, model: Model, trace: Trace) -> bool:
+def actuation_varies(design: Design, model: Model, trace: Trace) -> bool:
     """Whether a test's actuation changes, and its law is not strictly proportional."""
     mean = trace.reference_actuation
     if not trace.varying or not mean > 0 or np.std(trace.actuation) < STEADY * mean:
@@ -326,7 +326,7 @@ def _alternatives(
         choice = _choices(under, {**weights, **{n: {law: 1.0} for n in slips}}, 1)[0]
         n = max(int(np.ceil(ALTERNATIVES * w)), 20)
         mode, root = other.laplace(choice)
-        h = other.of_numbers(mode + rng.standard_normal((n, other.dim)) @ root.T)
+        h = other.from_standard_normal(mode + rng.standard_normal((n, other.dim)) @ root.T)
         few = np.array_split(h, max(n // 32, 1))  # to bound the memory
         z = np.concatenate([other.marginal(part, choice)[1].draw(rng) for part in few])
         found.append((h[:, : other.f + other.e], z, *other.shapes(h, choice)))
@@ -334,11 +334,13 @@ def _alternatives(
     return LawDraws(*map(np.concatenate, zip(*found, strict=True))), np.concatenate(weight)
 
 
-def _starts(prior: Prior | None, likelihoods: Sequence[TestLikelihood], x: Array) -> Starts:
+def _starts(
+    prior: Prior | None, likelihoods: Sequence[TestLikelihood], x: Array
+) -> InitialGapPrior:
     """Density of starts, learned from where the tests began, of draws (chain, draw, J, D)."""
     left, free = [], []
     if prior is None or prior.fixed or "start" not in likelihoods[0].coordinates.names:
-        return Starts.of(prior)
+        return InitialGapPrior.of(prior)
     even = (prior.family, prior.lower, prior.upper) == ("uniform", 0.0, 1.0)
     for j, one in enumerate(likelihoods):
         model, own = one.posterior.model, x[:, :, j].reshape(-1, x.shape[-1])
@@ -349,4 +351,4 @@ def _starts(prior: Prior | None, likelihoods: Sequence[TestLikelihood], x: Array
     there = [place for place in left if place is not None]
     places = np.array(there) if len(there) == len(left) else None
     begun = likelihoods[0].coordinates.value("start", x)
-    return Starts.learned(begun.reshape(-1, len(likelihoods)), places, free)
+    return InitialGapPrior.learned(begun.reshape(-1, len(likelihoods)), places, free)

@@ -219,7 +219,7 @@ class _Fit:
             mean=self.knots,
             covariance=self.covariance / ((1.0 - phi) / (1.0 + phi)),
             log_shape=self.log_shape,
-            slip_force=self.typical,
+            slip_force=self.median,
             stroke_share=share_of_strokes(standard, strokes),
             lag_one=phi,
             noise_time=float(-step / np.log(phi)),
@@ -293,8 +293,8 @@ class _Fit:
         model = self.tests[0].posterior.model
         slips = np.array([slip_force_of(model, v)[0] for v in values])
         driven = [trace.reference_actuation > 0 for trace in self.traces]
-        self.typical = float(np.exp(np.log(np.maximum(slips[driven], 1e-9)).mean()))
-        self.scaled = [f * s for f, s in zip(self.functions, slips / self.typical, strict=True)]
+        self.median = float(np.exp(np.log(np.maximum(slips[driven], 1e-9)).mean()))
+        self.scaled = [f * s for f, s in zip(self.functions, slips / self.median, strict=True)]
         precision, pull = self.inverse / self.amplitude**2, np.zeros(self.log_shape.size)
         for f, w, left in zip(self.scaled, self.weights(), self.left, strict=True):
             weighted = f * w[:, None]

@@ -126,7 +126,7 @@ class MixedModel:
             total += shape_prior(shape).log_density(h[:, v + i])
         return np.asarray(total)
 
-    def of_numbers(self, g: Array) -> Array:
+    def from_standard_normal(self, g: Array) -> Array:
         """Values of h for numbers g (n, dim): draws of its prior for standard normal numbers.
 
         Near such numbers the posterior is close to a Gaussian, which it is not near h.
@@ -223,7 +223,9 @@ class MixedModel:
         """Log posterior density of the numbers g (n, dim), (n,)."""
         found = []
         for part in np.array_split(g, max(len(g) // 64, 1)):
-            log = self.marginal(self.of_numbers(part), choice)[0] - 0.5 * np.sum(part**2, axis=1)
+            log = self.marginal(self.from_standard_normal(part), choice)[0] - 0.5 * np.sum(
+                part**2, axis=1
+            )
             found.append(np.nan_to_num(log, nan=-1e9, neginf=-1e9))
         return np.concatenate(found)
 
@@ -287,7 +289,7 @@ class MixedModel:
             mean = (size * centre + before * mean) / (size + before)
             covariance = np.asarray((size * spread + before * covariance) / (size + before))
         self.adapted[laws] = mean, covariance
-        return self.of_numbers(g[systematic(log, n, rng)])
+        return self.from_standard_normal(g[systematic(log, n, rng)])
 
     def find_outliers(self, choice: Index) -> None:
         """Set the weights of quantities of tests: contaminated normal scatter by EM.
@@ -296,7 +298,7 @@ class MixedModel:
         record hardly widens what is expected of others.
         """
         for _ in range(ROUNDS):
-            h = self.of_numbers(self.mode(choice)[None])
+            h = self.from_standard_normal(self.mode(choice)[None])
             mean, factor = self.deviations(h, choice, self.marginal(h, choice)[1].mean)
             variance = np.linalg.inv(factor @ np.swapaxes(factor, -1, -2))
             squares = mean[0] ** 2 + np.diagonal(variance[0], axis1=1, axis2=2)
@@ -421,7 +423,7 @@ class TestGaussians:
         near = -0.5 * np.sum(np.linalg.solve(root, (g - mode).T) ** 2, axis=0)
         near -= np.linalg.slogdet(root)[1]
         prior = -0.5 * np.sum(g**2, axis=1)
-        h, weight = mixed.of_numbers(g), prior - np.logaddexp(prior, near) + np.log(2.0)
+        h, weight = mixed.from_standard_normal(g), prior - np.logaddexp(prior, near) + np.log(2.0)
         every = set(range(len(y)))
         kept = [sorted(every - set(fold)) for fold in ((), *folds)]
         log = np.stack([weight + mixed.marginal(h, choice, tests)[0] for tests in kept], axis=1)

@@ -35,7 +35,7 @@ from mfd_bayes.population.design import (
     TIED,
     WIDER,
     Design,
-    Setting,
+    TestConditions,
     design_of,
     folds_beyond,
     ratio,
@@ -180,7 +180,7 @@ def slip_force_of(model: Model, values: Mapping[str, Array]) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Starts:
+class InitialGapPrior:
     """Density of the place in the gap, from 0 to 1, where a new test begins."""
 
     # (2, A): posterior of the modes (middle of the gap, where the motion ends) and of the shapes
@@ -189,14 +189,14 @@ class Starts:
     fixed: float | None = None  # the start that the prior file fixes
 
     @classmethod
-    def of(cls, prior: Prior | None) -> Starts:
+    def of(cls, prior: Prior | None) -> InitialGapPrior:
         """Of a prior alone."""
-        return cls(fixed=float(prior.typical) if prior is not None and prior.fixed else None)
+        return cls(fixed=float(prior.median) if prior is not None and prior.fixed else None)
 
     @classmethod
     def learned(
         cls, begun: Array, left: Array | None, without_load: Sequence[tuple[Array, Array] | None]
-    ) -> Starts:
+    ) -> InitialGapPrior:
         """What draws of the places (n, J) say where tests began."""
         w = np.clip(np.median(begun, axis=0), 1e-6, 1.0 - 1e-6)
         log = np.full((2, SHAPES.size), -np.inf)
@@ -259,7 +259,7 @@ def without_load(model: Model, values: Mapping[str, Array]) -> tuple[Array, Arra
 
 
 @dataclass(frozen=True, eq=False)
-class Ending:
+class FinalState:
     """Where a test ended, as draws: another that follows without a reset begins there."""
 
     test: str  # its id
@@ -275,7 +275,7 @@ class Ending:
         trace: Trace,
         values: Mapping[str, Array],
         scales: Mapping[str, Array] | None = None,
-    ) -> Ending:
+    ) -> FinalState:
         """Ending of a test of a motion, of draws of its quantities by name, with `start`."""
         theta = model.theta(values)
         return cls(test, theta, model.end(theta, trace, values["start"], scales=scales))
@@ -292,14 +292,14 @@ class Ending:
         pick = rng.choice(len(self.place), size=len(theta))
         return model.start_at(self.place[pick], trace, self.theta[pick], theta)
 
-    def moved(self, model: Model, way: ArrayLike) -> Ending:
+    def moved(self, model: Model, way: ArrayLike) -> FinalState:
         """The same after a slow motion, straight from each displacement (M,), in, to the next."""
         x = np.asarray(way, dtype=np.float64)
         x = np.concatenate([x[:1], x[:1], x])  # a trace has three samples at least
         time = SLOW * np.arange(x.size)
         trace = Trace.from_arrays(time, x, velocity=np.zeros(x.size), hysteresis=0.0)
         place = model.end(self.theta, trace, model.start_at(self.place, trace))
-        return Ending(self.test, self.theta, place, self.predicted)
+        return FinalState(self.test, self.theta, place, self.predicted)
 
 
 def place_left(
@@ -316,7 +316,7 @@ def place_left(
     if not model.has_gap or type(model).compute_end is Model.compute_end:
         return None
     theta = model.theta({name: np.array([np.median(value)]) for name, value in values.items()})
-    ended = Ending("", theta, model.end(theta, trace, scales=scales))
+    ended = FinalState("", theta, model.end(theta, trace, scales=scales))
     ended = ended.moved(model, trace.displacement[[-1, 0]])
     return float(np.clip(model.start_at(ended.place, trace)[0], 0.0, 1.0))
 
@@ -324,7 +324,7 @@ def place_left(
 # --- population -----------------------------------------------------------------------------------
 
 
-class Numbers(NamedTuple):
+class Latents(NamedTuple):
     """Standard normal numbers of n tests: of d quantities, M level effects, G actuations."""
 
     level: Array  # (n, M, G): of level effects
@@ -368,7 +368,7 @@ class Population:
     alternatives: LawDraws  # (m, …): under all laws, for actuations beyond the tested levels
     alternative_weight: Array  # (m,)
     residual: Residual  # discrepancy and noise that the tests have in common
-    starts: Starts
+    starts: InitialGapPrior
     priors: Mapping[str, Prior]
     actuation_unit: str
     walkers: int  # chains of each group, by which its draws are ordered
@@ -528,14 +528,14 @@ class Population:
         quantities = (3 + self.several_devices) * len(self.design.names)
         return quantities + len(self._leveled) * grid + 2
 
-    def numbers(self, flat: Array, grid: int) -> Numbers:
+    def numbers(self, flat: Array, grid: int) -> Latents:
         """What rows (n, m) of numbers stand for."""
         blocks = 3 + self.several_devices
         ends = blocks * len(self.design.names)
         level = flat[:, ends:-2].reshape(len(flat), len(self._leveled), grid)
-        return Numbers(level, flat[:, -2:], *np.split(flat[:, :ends], blocks, axis=1))
+        return Latents(level, flat[:, -2:], *np.split(flat[:, :ends], blocks, axis=1))
 
-    def draw_numbers(self, n: int, grid: int, rng: np.random.Generator) -> Numbers:
+    def draw_numbers(self, n: int, grid: int, rng: np.random.Generator) -> Latents:
         """Numbers of n tests with a grid of so many actuations."""
         return self.numbers(rng.standard_normal((n, self.count_numbers(grid))), grid)
 
@@ -544,7 +544,7 @@ class Population:
         """Whether the tests tell how devices differ."""
         return len(self.design.devices) > 1
 
-    def active(self, setting: Setting, grid: Array) -> Index:
+    def active(self, setting: TestConditions, grid: Array) -> Index:
         """Columns of the numbers that matter under a setting and a grid (G,)."""
         free = ~self.design.common
         new = free & (setting.session not in self.design.sessions)
@@ -575,9 +575,9 @@ class Population:
 
     def parts(
         self,
-        setting: Setting,
+        setting: TestConditions,
         index: Index,
-        numbers: Numbers,
+        numbers: Latents,
         effects: LevelEffects,
         *,
         scatter: bool = True,
@@ -607,7 +607,7 @@ class Population:
                     scattered[:, k] += sd[:, e] / design.spread[k] * own[:, k]
         return mean, scattered
 
-    def _extrapolation_sd(self, setting: Setting) -> Array:
+    def _extrapolation_sd(self, setting: TestConditions) -> Array:
         """Sd of what a setting outside those of the tests may change, in prior units, (d,).
 
         Of a motion outside theirs; and of an untested level, where too few levels were tested to
@@ -628,7 +628,7 @@ class Population:
                 )
         return found / design.spread
 
-    def repeats(self, setting: Setting) -> bool:
+    def repeats(self, setting: TestConditions) -> bool:
         """Whether a motion repeats those of the tests: of their kind and of their stroke."""
         amplitude, full = (
             np.array([s.covariates.get(name, np.nan) for s in (setting, *self.design.settings)])
@@ -642,7 +642,7 @@ class Population:
         model: Model,
         x: Array,
         numbers: Array,
-        setting: Setting | None = None,
+        setting: TestConditions | None = None,
         trace: Trace | None = None,
     ) -> dict[str, Array]:
         """What tests of coordinates x (n, d) do not share, by name, (n,): start, γ1, what is fixed.
@@ -651,7 +651,7 @@ class Population:
         """
         n = len(x)
         others = {k: p for k, p in self.priors.items() if k not in self.design.names}
-        found = {"gamma1": np.ones(n)} | {k: np.full(n, p.typical) for k, p in others.items()}
+        found = {"gamma1": np.ones(n)} | {k: np.full(n, p.median) for k, p in others.items()}
         if not model.has_gap:
             return found | {"start": np.full(n, 0.5)}
         values = found | self.values(x)
@@ -684,7 +684,7 @@ class Population:
             if name in here and grid.size > 1:
                 along = along * np.exp((effects.log[name] - here[name][:, None]) @ lines)
             found[name] = along
-        return found | {n: found[o] for n, o in model.tied_laws.items() if o in found}
+        return found | {n: found[o] for n, o in model.shared_laws.items() if o in found}
 
     def grid_of(self, trace: Trace) -> Array:
         """Actuations at which deviations are drawn for a trace, increasing, (G,)."""
@@ -756,7 +756,7 @@ def _population(
     arrays: Mapping[str, Array], facts: Mapping[str, Any], priors: PriorFile, model: Model | None
 ) -> Population:
     values = {name: np.asarray(array, dtype=np.float64) for name, array in arrays.items()}
-    settings = [Setting(**one) for one in facts["settings"]]
+    settings = [TestConditions(**one) for one in facts["settings"]]
     laws, dependence = facts["laws"], facts["dependence"]
     design = design_of(priors, facts["names"], settings, laws, dependence, model)
     draws = LawDraws(**{k: values[f"draws_{k}"] for k in ("h", "z", "share", "exponent")})
@@ -767,9 +767,9 @@ def _population(
         raise ValueError("its draws do not fit its design")
     if not all(np.all(np.isfinite(value)) for value in values.values()):
         raise ValueError("it holds numbers that are not finite")
-    starts = Starts.of(priors.parameters.get("start"))
+    starts = InitialGapPrior.of(priors.parameters.get("start"))
     if facts["start_weights"] is not None and starts.fixed is None:
-        starts = Starts(np.array(facts["start_weights"]), float(facts["unloaded"]))
+        starts = InitialGapPrior(np.array(facts["start_weights"]), float(facts["unloaded"]))
     discrepancy: dict[str, Any] = {k: np.array(v) for k, v in facts["discrepancy"].items()}
     return Population(
         design=design,

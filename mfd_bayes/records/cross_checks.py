@@ -125,42 +125,42 @@ def _of_same_motion(tests: Sequence[Tested]) -> list[list[Tested]]:
 def _duplicates(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     """Tests that are the same measurement as one before: whole, cut out, or sampled anew."""
     twins = set()
-    for other, test in combinations(tests, 2):
+    for earlier, test in combinations(tests, 2):
         if test.id in twins:
             continue
-        if test.steady and other.steady:
-            energies = abs(test.features["energy"]), abs(other.features["energy"])
+        if test.steady and earlier.steady:
+            energies = abs(test.features["energy"]), abs(earlier.features["energy"])
             if not min(energies) > 0.8 * max(energies):
                 continue
-        share = shared_part(test.trace, other.trace)
+        share = shared_part(test.trace, earlier.trace)
         if share is not None:
             twins.add(test.id)
-            what = "same record as {other}"
+            text = "same record as {other}"
             if share < 0.98:
-                what = f"the same measurement as {{other}} in {share:.0%} of the longer record"
-            yield test.id, Fault.of("duplicate", f"{what}: it would count twice", other=other.id)
+                text = f"the same measurement as {{other}} in {share:.0%} of the longer record"
+            yield test.id, Fault.of("duplicate", f"{text}: it would count twice", other=earlier.id)
 
 
-def shared_part(own: Trace, other: Trace) -> float | None:
+def shared_part(trace_a: Trace, trace_b: Trace) -> float | None:
     """Share of the longer of two records that is one measurement in both; None if none is."""
     from scipy.optimize import minimize_scalar
     from scipy.signal import correlate, find_peaks
 
-    ends = [float(trace.time[-1] - trace.time[0]) for trace in (own, other)]
+    ends = [float(trace.time[-1] - trace.time[0]) for trace in (trace_a, trace_b)]
     sizes = [int(end / BIN) for end in ends]
     if min(sizes) < SHORTEST or max(sizes) > LONGEST:
         return None
-    integrals = [_integrals(trace) for trace in (own, other)]
-    first, second = (_means(i, 0.0, n)[0] for i, n in zip(integrals, sizes, strict=True))
+    integrals = [_integrals(trace) for trace in (trace_a, trace_b)]
+    force_a, force_b = (_means(i, 0.0, n)[0] for i, n in zip(integrals, sizes, strict=True))
     # Of the forces in their overlap at every shift in bins: product, and energy of each.
     energies = (
-        correlate(np.ones(second.size), first**2, method="fft"),
-        correlate(second**2, np.ones(first.size), method="fft"),
+        correlate(np.ones(force_b.size), force_a**2, method="fft"),
+        correlate(force_b**2, np.ones(force_a.size), method="fft"),
     )
     energies = tuple(np.maximum(e, 1e-9 * e.max() + 1e-300) for e in energies)
-    alike = correlate(second, first, method="fft") / np.sqrt(energies[0] * energies[1])
-    shifts = np.arange(1 - first.size, second.size)
-    overlap = np.minimum(first.size, second.size - shifts) - np.maximum(0, -shifts)
+    alike = correlate(force_b, force_a, method="fft") / np.sqrt(energies[0] * energies[1])
+    shifts = np.arange(1 - force_a.size, force_b.size)
+    overlap = np.minimum(force_a.size, force_b.size - shifts) - np.maximum(0, -shifts)
     alike[overlap < max(SHORTEST, 0.5 * min(sizes))] = -1.0
     alike[np.maximum(*energies) > LARGER**2 * np.minimum(*energies)] = -1.0
     peaks = find_peaks(np.pad(alike, 1, constant_values=-1.0), height=CORRELATION)[0] - 1
@@ -174,7 +174,7 @@ def shared_part(own: Trace, other: Trace) -> float | None:
         a, b = parts(lag)
         return float(np.max(np.std(a - b, axis=1) / np.maximum(np.std(a, axis=1), 1e-300)))
 
-    best, least = 0.0, np.inf
+    best, smallest = 0.0, np.inf
     for peak in sorted(peaks, key=lambda k: -alike[k])[:6]:  # cycles repeat
         middle = BIN * float(shifts[peak])
         fit = minimize_scalar(
@@ -183,19 +183,19 @@ def shared_part(own: Trace, other: Trace) -> float | None:
             method="bounded",
             options={"xatol": BIN / 512},
         )
-        if fit.fun < least:
-            best, least = float(fit.x), float(fit.fun)
-    if least > SAME:
+        if fit.fun < smallest:
+            best, smallest = float(fit.x), float(fit.fun)
+    if smallest > SAME:
         return None
     # Independent noise would make forces differ more than that; it is read off the smallest third
     # differences, which the loop's corners leave alone.
-    forces = [part[0] for part in parts(best)]
+    forces = [means[0] for means in parts(best)]
     noise = max(float(np.quantile(np.abs(np.diff(f, 3)), 0.25)) for f in forces)
-    away = forces[0] - forces[1]
-    typical = float(np.median(np.abs(away - np.median(away)))) / 0.6745
+    difference = forces[0] - forces[1]
+    typical = float(np.median(np.abs(difference - np.median(difference)))) / 0.6745
     if typical > NOISE * max(noise / 0.3186 / np.sqrt(20.0), QUIET * float(np.std(forces[0]))):
         return None
-    return float(min(1.0, away.size / max(sizes)))
+    return float(min(1.0, difference.size / max(sizes)))
 
 
 def _integrals(trace: Trace) -> tuple[Array, Array]:
@@ -205,9 +205,9 @@ def _integrals(trace: Trace) -> tuple[Array, Array]:
     return trace.time - trace.time[0], np.pad(np.cumsum(steps, axis=1), ((0, 0), (1, 0)))
 
 
-def _means(integrals: tuple[Array, Array], first: float, count: int) -> Array:
+def _means(integrals: tuple[Array, Array], start: float, count: int) -> Array:
     """Mean force and displacement in `count` bins from a time on, s, (2, count)."""
-    edges = first + BIN * np.arange(count + 1)
+    edges = start + BIN * np.arange(count + 1)
     return np.diff([np.interp(edges, integrals[0], row) for row in integrals[1]], axis=1) / BIN
 
 
@@ -215,17 +215,17 @@ def _clocks(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     """Tests whose steps of time and cycles are those of another one, but in ms."""
     step = {test.id: float(np.median(np.diff(test.trace.time))) for test in tests}
     for test in tests:
-        for other in tests:
+        for reference in tests:
             if (
-                0.0 < other.cycle < test.cycle
-                and abs(step[test.id] / step[other.id] - 1000.0) < 1.0
-                and 500.0 < test.cycle / other.cycle < 2000.0
+                0.0 < reference.cycle < test.cycle
+                and abs(step[test.id] / step[reference.id] - 1000.0) < 1.0
+                and 500.0 < test.cycle / reference.cycle < 2000.0
             ):
                 fault = Fault.of(
                     "time unit",
                     f"its steps of {step[test.id]:.3g} s and its cycles of {test.cycle:.4g} s are "
                     "a thousand times those of {other}: is time in ms rather than in s?",
-                    other=other.id,
+                    other=reference.id,
                 )
                 yield test.id, fault
                 break
@@ -235,26 +235,26 @@ def _signs(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
     """Tests whose signs are not those of the others: which of two, or both."""
     steady = [t for t in tests if t.steady and not t.swapped]
     for test in steady:
-        others = [t for t in steady if t is not test]
-        directions = {t.trace.direction for t in others}
-        if len(others) < (2 if test.work < 0.0 else 3) or len(directions) > 1:
+        peers = [t for t in steady if t is not test]
+        directions = {t.trace.direction for t in peers}
+        if len(peers) < (2 if test.work < 0.0 else 3) or len(directions) > 1:
             continue
-        same = test.trace.direction in directions
+        agrees = test.trace.direction in directions
         begins = "its motion begins in the direction opposite to that of all other tests"
         if test.work < 0.0:
-            which = "force: its motion begins as those of the other tests"
-            if not same:
-                which = f"displacement: {begins}"
-            swapped = f"the swapped sign is probably that of the {which}"
+            suspect = "force: its motion begins as those of the other tests"
+            if not agrees:
+                suspect = f"displacement: {begins}"
+            swapped = f"the swapped sign is probably that of the {suspect}"
             yield test.id, Fault.of("force sign", swapped)
-        elif not same:
-            alike = [np.corrcoef(test.asymmetry, t.asymmetry)[0, 1] for t in others]
+        elif not agrees:
+            alike = [np.corrcoef(test.asymmetry, t.asymmetry)[0, 1] for t in peers]
             if np.nanmedian([0.0, 0.0] if np.isnan(alike).all() else alike) < 0.0:
-                both = (
+                text = (
                     f"{begins}, and its two directions of motion seem exchanged: the signs of "
                     "force and displacement are probably both swapped"
                 )
-                yield test.id, Fault.of("both signs", both)
+                yield test.id, Fault.of("both signs", text)
 
 
 # --- mistakes that the laws of gap, build-up and slip force over the actuation show
@@ -274,7 +274,7 @@ class Mistake:
     level: float = 0.0
     log_prior: float = 0.0
     left_out: bool = False
-    why: str = ""
+    reason: str = ""
 
 
 def _odd(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
@@ -337,8 +337,8 @@ def _law(sums: Array) -> tuple[Array, Array, Array, Array]:
     n = np.maximum(sums[..., 0], 1.0)
     x, y = sums[..., 1] / n, sums[..., 2] / n
     precision = sums[..., 3] - n * x * x + (SCATTER / BEND) ** 2
-    along = sums[..., 4] - n * x * y + EXPONENT * (SCATTER / BEND) ** 2
-    return x, y, along / precision, precision
+    cross = sums[..., 4] - n * x * y + EXPONENT * (SCATTER / BEND) ** 2
+    return x, y, cross / precision, precision
 
 
 def _variance(sums: Array) -> Array:
@@ -364,8 +364,8 @@ def _log_evidence(sums: Array) -> Array:
     _, _, exponent, precision = _law(sums)
     slip = 2  # its place among the quantities
     rising = stdtr(freedom, exponent / np.sqrt(variance / precision))[..., slip]
-    before = stdtr(FREEDOM, (EXPONENT / BEND)[slip])
-    sign = np.log(FALLING + (1.0 - FALLING) * rising / before)
+    prior = stdtr(FREEDOM, (EXPONENT / BEND)[slip])
+    sign = np.log(FALLING + (1.0 - FALLING) * rising / prior)
     n, start = np.maximum(sums[..., 0], 1.0), FREEDOM * SCATTER**2
     logs = (
         0.5 * np.log((SCATTER / BEND) ** 2 / precision / n)
@@ -400,26 +400,26 @@ def _scored(
     sums = _sums(x, y)
     total = sums.sum(axis=0)
     nothing = _log_evidence(total)
-    right = [j for j in range(len(tests)) if j not in wrong and np.isfinite(y[j]).any()]
-    for j in right:
+    candidates = [j for j in range(len(tests)) if j not in wrong and np.isfinite(y[j]).any()]
+    for j in candidates:
         mistakes = _mistakes(j, tests)
         logs = y[j] + np.array([mistake.logs for mistake in mistakes])
         logs[[mistake.left_out for mistake in mistakes]] = np.nan
         levels = x[j] + np.array([mistake.level for mistake in mistakes])
-        changed = total - sums[j] + _sums(levels, logs)
-        odds = _log_evidence(changed) - nothing + [mistake.log_prior for mistake in mistakes]
+        corrected = total - sums[j] + _sums(levels, logs)
+        odds = _log_evidence(corrected) - nothing + [mistake.log_prior for mistake in mistakes]
         best = int(np.argmax(odds))
         levels = [t.level for i, t in enumerate(tests) if i != j and t.level > 0.0]
-        inside = bool(levels) and min(levels) <= tests[j].level <= max(levels)
-        of_factor = inside and mistakes[best].log_prior == FACTOR
+        in_range = bool(levels) and min(levels) <= tests[j].level <= max(levels)
+        of_factor = in_range and mistakes[best].log_prior == FACTOR
         yield float(odds[best]) + INSIDE * of_factor, mistakes[best]
-    for i in right:
-        later = np.array([j for j in right if j > i], dtype=np.intp)
+    for i in candidates:
+        later = np.array([j for j in candidates if j > i], dtype=np.intp)
         moved = total - sums[i] - sums[later] + _sums(x[later], y[i]) + _sums(x[i], y[later])
         odds = _log_evidence(moved) - nothing
-        odds += EXCHANGED - np.log(0.5 * len(right))
-        away = [_away(x[later], y[i], moved), _away(x[i], y[later], moved)]
-        restored = np.nanmax(np.abs(away), axis=(0, 2), initial=0.0) < WITHIN
+        odds += EXCHANGED - np.log(0.5 * len(candidates))
+        distances = [_away(x[later], y[i], moved), _away(x[i], y[later], moved)]
+        restored = np.nanmax(np.abs(distances), axis=(0, 2), initial=0.0) < WITHIN
         for j in np.flatnonzero(restored & (x[later] != x[i])).tolist():
             if tests[i].level > 0.0 and tests[later[j]].level > 0.0:
                 yield float(odds[j]), Mistake((i, int(later[j])), "exchange")
@@ -429,9 +429,9 @@ def _away(x: Array, y: Array, law: Array) -> Array:
     """Distance of a test's values y (..., 3) from laws, in predictive sds, (..., 3)."""
     mean_x, mean_y, exponent, precision = _law(law)
     variance, _ = _variance(law)
-    along = np.asarray(x)[..., None] - mean_x
-    sd = np.sqrt(variance * (1.0 + 1.0 / np.maximum(law[..., 0], 1.0) + along**2 / precision))
-    return np.asarray((y - (mean_y + exponent * along)[..., :3]) / sd[..., :3])
+    offset = np.asarray(x)[..., None] - mean_x
+    sd = np.sqrt(variance * (1.0 + 1.0 / np.maximum(law[..., 0], 1.0) + offset**2 / precision))
+    return np.asarray((y - (mean_y + exponent * offset)[..., :3]) / sd[..., :3])
 
 
 def _mistakes(j: int, tests: Sequence[Tested]) -> list[Mistake]:
@@ -442,28 +442,32 @@ def _mistakes(j: int, tests: Sequence[Tested]) -> list[Mistake]:
     actuation that is too large by f leaves the loop as it is.
     """
     test = tests[j]
-    why = (
+    reason = (
         "neither a unit nor the actuation explains it; is it the record of another device, or of "
         "another session?"
     )
-    mistakes = [Mistake((j,), "another device", log_prior=ANYTHING, left_out=True, why=why)]
+    mistakes = [Mistake((j,), "another device", log_prior=ANYTHING, left_out=True, reason=reason)]
     for role, way in WAYS.items():
         for unit in UNITS[role]:
             log = float(np.log(factor(test.units[role], role) / factor(unit, role)))
             if abs(log) > LEAST:
-                why = f"its {role} seems to be in {unit}, not in {test.units[role]}"
-                mistakes.append(Mistake((j,), f"unit of {role}", -log * way, 0.0, UNIT, why=why))
+                reason = f"its {role} seems to be in {unit}, not in {test.units[role]}"
+                mistakes.append(
+                    Mistake((j,), f"unit of {role}", -log * way, 0.0, UNIT, reason=reason)
+                )
         for log in ANY_FACTOR:
             size = f"{np.exp(abs(log)):.2g} times too {'large' if log > 0.0 else 'small'}"
-            why = f"its {role} seems to be {size}: check its unit and the sensor's factor"
-            mistakes.append(Mistake((j,), role, -log * way, 0.0, FACTOR, why=why))
+            reason = f"its {role} seems to be {size}: check its unit and the sensor's factor"
+            mistakes.append(Mistake((j,), role, -log * way, 0.0, FACTOR, reason=reason))
     if test.level > 0.0:
         number, _, unit = test.actuation.strip().partition(" ")
-        for other in {t.actuation.strip().partition(" ")[2] for t in tests} - {unit, ""}:
+        for rival in {t.actuation.strip().partition(" ")[2] for t in tests} - {unit, ""}:
             if unit:
-                log = float(np.log(actuation_factor(unit)[0] / actuation_factor(other)[0]))
-                why = f"the actuation is probably {number} {other}, not {test.actuation}"
-                mistakes.append(Mistake((j,), "actuation", level=-log, log_prior=UNIT, why=why))
+                log = float(np.log(actuation_factor(unit)[0] / actuation_factor(rival)[0]))
+                reason = f"the actuation is probably {number} {rival}, not {test.actuation}"
+                mistakes.append(
+                    Mistake((j,), "actuation", level=-log, log_prior=UNIT, reason=reason)
+                )
         for log in (np.log(10.0), -np.log(10.0)):
             mistakes.append(Mistake((j,), "actuation", level=-log, log_prior=UNIT))
         mistakes += [Mistake((j,), "actuation", level=-log, log_prior=FACTOR) for log in ANY_FACTOR]
@@ -476,41 +480,41 @@ def _explained(mistake: Mistake, test: Tested, x: float, y: Array, law: Array) -
     expected = mean_y + exponent * (x - mean_x)
     k = int(np.nanargmax(np.abs(_away(np.asarray(x), y, law))))
     words, unit = list(QUANTITIES.values())[k]
-    why = mistake.why
+    reason = mistake.reason
     if mistake.name == "actuation":
-        why = why or _of_actuation(test, -mistake.level)
+        reason = reason or _of_actuation(test, -mistake.level)
     return Fault.of(
         mistake.name,
         f"its loop has a {words} of {{value}}, where the other tests suggest {{expected}}: {{why}}",
         value=(float(np.exp(y[k])), unit),
         expected=(float(np.exp(expected[k])), unit),
-        why=why,
+        why=reason,
     )
 
 
-def _of_actuation(test: Tested, away: float) -> str:
-    """A wrong actuation, too large by the exponential of `away`, and the one that it may be."""
+def _of_actuation(test: Tested, shift: float) -> str:
+    """A wrong actuation, too large by the exponential of `shift`, and the one that it may be."""
     number, _, unit = test.actuation.strip().partition(" ")
-    hint = ", by a factor of ten" if abs(abs(away) - np.log(10.0)) < 1.0 else ""
-    given, about = test.actuation, ""
+    hint = ", by a factor of ten" if abs(abs(shift) - np.log(10.0)) < 1.0 else ""
+    level, estimate = test.actuation, ""
     if number and unit:
-        about = f" (its loop is that of about {float(number) / np.exp(away):.2g} {unit})"
+        estimate = f" (its loop is that of about {float(number) / np.exp(shift):.2g} {unit})"
     return (
-        f"the actuation{f', {given},' if given else ''} is probably wrong{hint}{about}, or the "
+        f"the actuation{f', {level},' if level else ''} is probably wrong{hint}{estimate}, or the "
         "file is that of another test"
     )
 
 
-def _exchanged(first: Tested, second: Tested) -> Iterator[tuple[str, Fault]]:
+def _exchanged(test_a: Tested, test_b: Tested) -> Iterator[tuple[str, Fault]]:
     """Two tests that follow the law of the others once their actuations are exchanged."""
-    for test, other in ((first, second), (second, first)):
-        given = f" ({test.actuation} and {other.actuation})" if test.actuation else ""
+    for test, partner in ((test_a, test_b), (test_b, test_a)):
+        levels = f" ({test.actuation} and {partner.actuation})" if test.actuation else ""
         yield (
             test.id,
             Fault.of(
                 "actuation",
-                f"its actuation and that of {{other}}{given} are probably exchanged, or their "
+                f"its actuation and that of {{other}}{levels} are probably exchanged, or their "
                 "files are: exchanged, both loops follow the law of the other tests",
-                other=other.id,
+                other=partner.id,
             ),
         )

@@ -10,7 +10,7 @@ from itertools import chain, product
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.messages import Message, Quantity
+from mfd_bayes.messages import Measure, Message
 from mfd_bayes.records.loops import (
     FEWEST,
     UNITS,
@@ -35,10 +35,10 @@ from mfd_bayes.records.table import header_unit, stated_unit
 from mfd_bayes.records.trace import (
     Array,
     Trace,
+    despiked,
     force_spikes,
     interpolated,
-    mended,
-    runs,
+    run_lengths,
     sensor_noise,
     spikes_of,
     without_spikes,
@@ -117,7 +117,7 @@ class Fault:
     ) -> Fault:
         """Fault whose message has these texts, and quantities as (value, internal unit)."""
         quantities = {
-            key: v if isinstance(v, str) else Quantity.of(v[0], unit=v[1])
+            key: v if isinstance(v, str) else Measure.of(v[0], unit=v[1])
             for key, v in values.items()
         }
         return cls(name, Message(template, quantities), _NONE if samples is None else samples)
@@ -185,8 +185,8 @@ def uneven(trace: Trace) -> Iterator[Fault]:
     share = steps[:-1] / (steps[:-1] + steps[1:])
     over_samples = np.abs(x[1:-1] - 0.5 * (x[:-2] + x[2:]))
     over_time = np.abs(x[1:-1] - x[:-2] - share * (x[2:] - x[:-2]))
-    off = np.abs(steps - median) > OFF * median
-    if np.mean(off) > UNEVEN and np.mean(over_time) > SMOOTHER * np.mean(over_samples):
+    irregular = np.abs(steps - median) > OFF * median
+    if np.mean(irregular) > UNEVEN and np.mean(over_time) > SMOOTHER * np.mean(over_samples):
         mean = float(np.mean(steps))
         yield Fault.of(
             "time stamps",
@@ -201,14 +201,14 @@ def dropped(trace: Trace) -> Iterator[Fault]:
     """Steps of time that are too long: samples are missing."""
     steps = np.diff(trace.time)
     median = float(np.median(steps))
-    at = np.flatnonzero(steps > DROPPED * median)
-    if at.size:
+    long_steps = np.flatnonzero(steps > DROPPED * median)
+    if long_steps.size:
         yield Fault.of(
             "dropped samples",
-            f"{_count(at.size, 'step')} of time longer than {DROPPED:g} median ones (up to "
-            f"{steps[at].max():.3g} s, median {median:.3g} s), the first at "
-            f"{trace.time[at[0]]:.4g} s: samples were dropped",
-            at + 1,
+            f"{_count(long_steps.size, 'step')} of time longer than {DROPPED:g} median ones (up to "
+            f"{steps[long_steps].max():.3g} s, median {median:.3g} s), the first at "
+            f"{trace.time[long_steps[0]]:.4g} s: samples were dropped",
+            long_steps + 1,
         )
 
 
@@ -296,9 +296,9 @@ def clipping(trace: Trace) -> Iterator[Fault]:
     moving = speed[starts] > 0.05 * speed.max()
     high, low = force[starts] == force.max(), force[starts] == force.min()
     fine = np.unique(force).size > LEVELS  # else the steps of the sensor make it flat
-    for name, at in (("largest", high), ("smallest", low)):
-        elsewhere = np.max(lengths[moving & ~(high | low if fine else at)], initial=0)
-        flat = at & moving & (lengths + 1 >= max(CLIPPED, 3 * (elsewhere + 1)))
+    for name, mask in (("largest", high), ("smallest", low)):
+        elsewhere = np.max(lengths[moving & ~(high | low if fine else mask)], initial=0)
+        flat = mask & moving & (lengths + 1 >= max(CLIPPED, 3 * (elsewhere + 1)))
         if np.any(flat):
             yield Fault.of(
                 "clipping",
@@ -313,31 +313,31 @@ def clipping(trace: Trace) -> Iterator[Fault]:
 def clipped_motion(trace: Trace) -> Iterator[Fault]:
     """Displacement flat at its extreme, to which it comes at speed, while the force turns.
 
-    A smooth turn, of which so many samples are within `near` of the extreme, is nine times as far
+    A smooth turn, of which so many samples are within `band` of the extreme, is nine times as far
     from it as many samples before and after.
     """
     x, force = trace.displacement, trace.force
     if force is None:
         return
-    near = max(FLAT * float(np.ptp(x)), 1.5 * _quantum(x))
+    band = max(FLAT * float(np.ptp(x)), 1.5 * _quantum(x))
     turned = TURNED * float(np.ptp(force))
     for name, sign in (("largest", 1.0), ("smallest", -1.0)):
         extreme = float(np.max(sign * x))
-        before, lengths = runs(sign * x > extreme - near)
-        starts, ends = before - lengths, before + 1 + 2 * lengths
-        whole = (lengths >= CLIPPED) & (starts >= 0) & (ends < x.size)
+        previous, lengths = run_lengths(sign * x > extreme - band)
+        starts, ends = previous - lengths, previous + 1 + 2 * lengths
+        valid = (lengths >= CLIPPED) & (starts >= 0) & (ends < x.size)
         far = [
-            extreme - np.max(sign * x[[a, b]]) > 9.0 * CORNER * near
+            extreme - np.max(sign * x[[a, b]]) > 9.0 * CORNER * band
             and np.ptp(force[a + n : b - n]) > turned
-            for a, b, n in zip(starts[whole], ends[whole], lengths[whole], strict=True)
+            for a, b, n in zip(starts[valid], ends[valid], lengths[valid], strict=True)
         ]
         if far and np.mean(far) > 0.5:
             yield Fault.of(
                 "displacement clipping",
                 f"the displacement stays at its {name} value, {{extreme}}, for up to "
-                f"{lengths[whole].max()} samples at a turn, while the force goes on: the sensor or "
+                f"{lengths[valid].max()} samples at a turn, while the force goes on: the sensor or "
                 "its amplifier is at its limit",
-                _spread(before[whole] + 1, lengths[whole] - 1),
+                _spread(previous[valid] + 1, lengths[valid] - 1),
                 extreme=(sign * extreme, "in"),
             )
 
@@ -350,7 +350,7 @@ def lag(trace: Trace) -> Iterator[Fault]:
     step = float(np.median(np.diff(trace.time)))
     cycle = _cycle(trace)
     if abs(delay) > max(LAG, LAG_SAMPLES * step, LAG_CYCLE * cycle):
-        way, size, about = "behind", abs(delay), "about"
+        way, size, bound = "behind", abs(delay), "about"
         cause = "filters or channels are out of step"
         if delay < 0:
             way = "before"
@@ -359,10 +359,10 @@ def lag(trace: Trace) -> Iterator[Fault]:
                 "model describes: that needs a model of your own"
             )
         if size > REACH * cycle:
-            size, about = REACH * cycle, "at least"
+            size, bound = REACH * cycle, "at least"
         yield Fault.of(
             "lag",
-            f"the force comes {about} {1000 * size:.3g} ms ({size / step:.2g} samples) {way} the "
+            f"the force comes {bound} {1000 * size:.3g} ms ({size / step:.2g} samples) {way} the "
             f"displacement at reversals: {cause}",
             turns,
         )
@@ -386,9 +386,9 @@ def held_samples(trace: Trace) -> Iterator[Fault]:
         channels["force"] = trace.force
     periods = {name: _hold(values) for name, values in channels.items()}
     step = float(np.median(np.diff(trace.time)))
-    least = max(LAG, LAG_CYCLE * _cycle(trace)) if trace.cycle_turns.size > 1 else LAG
+    shortest = max(LAG, LAG_CYCLE * _cycle(trace)) if trace.cycle_turns.size > 1 else LAG
     for name, period in periods.items():
-        if period * step > least and period == max(periods.values()) > min(periods.values()):
+        if period * step > shortest and period == max(periods.values()) > min(periods.values()):
             yield Fault.of(
                 "held samples",
                 f"the {name} is new only at every {period}th sample, every "
@@ -420,14 +420,14 @@ def repeated_block(trace: Trace) -> Iterator[Fault]:
             sums += weight * codes[k : k + count]
         changes = np.pad(np.cumsum(np.diff(values) != 0.0), (1, 0))
         changing &= changes[BLOCK - 1 :] - changes[:count] > BLOCK // 2
-    _, first, back = np.unique(sums, return_index=True, return_inverse=True)
-    again = (first[back] < np.arange(count)) & changing
+    _, indices, inverse = np.unique(sums, return_index=True, return_inverse=True)
+    again = (indices[inverse] < np.arange(count)) & changing
     if not 0 < np.count_nonzero(again) < REPEATED * count:
         return
-    before, lengths = runs(again)
+    previous, lengths = run_lengths(again)
     longest = int(np.argmax(lengths))
-    start, rows = int(before[longest]) + 1, int(lengths[longest]) + BLOCK - 1
-    source, t = int(first[back[start]]), trace.time
+    start, rows = int(previous[longest]) + 1, int(lengths[longest]) + BLOCK - 1
+    source, t = int(indices[inverse[start]]), trace.time
     if trace.cycle_turns.size > 1:
         cycles = float(t[start] - t[source]) / _cycle(trace)
         if abs(cycles - round(cycles)) < SAME_CYCLE:
@@ -445,34 +445,34 @@ def spikes(trace: Trace) -> Iterator[Fault]:
     measured = [("displacement", trace.displacement, spikes_of(trace.displacement), "in")]
     if trace.force is not None:
         measured.append(("force", trace.force, force_spikes(trace), "kip"))
-    for name, values, at, unit in measured:
-        if at.size:
+    for name, values, rows, unit in measured:
+        if rows.size:
             yield Fault.of(
                 "spikes",
-                f"{_count(at.size, 'isolated sample')} of the {name} "
-                f"{'stands' if at.size == 1 else 'stand'} out by up to {{height}}, the first at "
-                f"{trace.time[at[0]]:.4g} s: correct or delete these rows of the file before a "
+                f"{_count(rows.size, 'isolated sample')} of the {name} "
+                f"{'stands' if rows.size == 1 else 'stand'} out by up to {{height}}, the first at "
+                f"{trace.time[rows[0]]:.4g} s: correct or delete these rows of the file before a "
                 "fit; all else is told without them",
-                at,
-                height=(float(np.max(np.abs(values - interpolated(values, at)))), unit),
+                rows,
+                height=(float(np.max(np.abs(values - interpolated(values, rows)))), unit),
             )
 
 
-def jumps(trace: Trace, held: Samples) -> Iterator[Fault]:
+def jumps(trace: Trace, frozen_samples: Samples) -> Iterator[Fault]:
     """Steps of the displacement that the motion before and after does not have."""
-    at = _jumps(trace, trace.displacement)
-    at = at[~np.isin(at - 1, held)]
-    if at.size:
-        moved, step = np.diff(trace.displacement)[at - 1], np.diff(trace.time)[at - 1]
+    samples = _jumps(trace, trace.displacement)
+    samples = samples[~np.isin(samples - 1, frozen_samples)]
+    if samples.size:
+        moved, step = np.diff(trace.displacement)[samples - 1], np.diff(trace.time)[samples - 1]
         worst = int(np.argmax(np.abs(moved) / step))
-        several = f", the largest of {at.size} jumps" if at.size > 1 else ""
+        several = f", the largest of {samples.size} jumps" if samples.size > 1 else ""
         yield Fault.of(
             "jump",
             f"the displacement jumps by {_plus(moved[worst])}{{moved}} within a step of time at "
-            f"{trace.time[at[worst]]:.4g} s ({{speed}}, where the motion beside it is slower)"
+            f"{trace.time[samples[worst]]:.4g} s ({{speed}}, where the motion beside it is slower)"
             f"{several}: samples were lost and the time numbered anew, or the zero of the sensor "
             "has slipped",
-            at,
+            samples,
             moved=(float(moved[worst]), "in"),
             speed=(float(abs(moved[worst]) / step[worst]), "in/s"),
         )
@@ -485,23 +485,23 @@ def _jumps(trace: Trace, values: Array) -> Samples:
         return _NONE
     window = np.lib.stride_tricks.sliding_window_view(np.pad(steps, 2, mode="edge"), 5)
     neighbours = window[:, [0, 1, 3, 4]]
-    off = np.abs(steps - np.median(neighbours, axis=1))
-    usual = float(np.quantile(np.abs(steps), 0.98, method="lower"))
-    large = off * np.diff(trace.time) > JUMP * np.ptp(values)
-    sudden = off > np.maximum(2.0 * np.abs(neighbours).max(axis=1), 1.5 * usual)
+    deviation = np.abs(steps - np.median(neighbours, axis=1))
+    typical = float(np.quantile(np.abs(steps), 0.98, method="lower"))
+    large = deviation * np.diff(trace.time) > JUMP * np.ptp(values)
+    sudden = deviation > np.maximum(2.0 * np.abs(neighbours).max(axis=1), 1.5 * typical)
     return np.flatnonzero(large & sudden) + 1
 
 
-def held(trace: Trace, name: str, at: Samples) -> Iterator[Fault]:
+def held(trace: Trace, name: str, idx: Samples) -> Iterator[Fault]:
     """One channel that does not change, at these samples, while the other goes on."""
-    if at.size:
-        last = int(at[np.argmax(np.append(np.diff(at), 2) > 1)])
+    if idx.size:
+        end = int(idx[np.argmax(np.append(np.diff(idx), 2) > 1)])
         yield Fault.of(
             "held",
-            f"the {name} holds one value from {trace.time[at[0]]:.4g} s to {trace.time[last]:.4g} s"
-            f"{' and later once more' if last < at[-1] else ''}, while the test goes on: the "
+            f"the {name} holds one value from {trace.time[idx[0]]:.4g} s to {trace.time[end]:.4g} s"
+            f"{' and later once more' if end < idx[-1] else ''}, while the test goes on: the "
             "sensor or its channel was frozen",
-            at,
+            idx,
         )
 
 
@@ -521,27 +521,27 @@ def frozen(trace: Trace) -> tuple[Samples, Samples]:
         starts, lengths = _constant(values)
         ends = starts + lengths
         travel = path[ends] - path[starts]
-        back = np.isin(ends + 1, _jumps(trace, values))
+        returns = np.isin(ends + 1, _jumps(trace, values))
         if values is x:
             sizes = lengths.astype(float)
             pairs = zip(starts, ends, strict=True)
             goes_on = np.array([np.ptp(force[a : b + 1]) > swing > 0.0 for a, b in pairs], bool)
         else:
             sizes, goes_on = travel, travel > FAR * stroke
-            back &= (travel > NEAR * stroke) & (np.abs(values[starts]) < np.abs(values).max())
+            returns &= (travel > NEAR * stroke) & (np.abs(values[starts]) < np.abs(values).max())
         # The longest run of four strokes of five is not exceeded by what is usual.
         longest = np.zeros(trace.cycle_turns.size + 1)
         np.maximum.at(longest, np.searchsorted(trace.cycle_turns, starts, side="right"), sizes)
-        usual = float(np.quantile(longest, 0.8, method="lower"))
-        long = (lengths >= HELD) & (sizes > LONGER * usual) & (back | goes_on)
+        typical = float(np.quantile(longest, 0.8, method="lower"))
+        long = (lengths >= HELD) & (sizes > LONGER * typical) & (returns | goes_on)
         samples.append(_spread(starts[long], lengths[long]))
     return samples[0], samples[1]
 
 
 def _constant(values: Array) -> tuple[Samples, Samples]:
     """First sample of each run of equal values, and how many follow it."""
-    before, lengths = runs(np.diff(values) == 0.0)
-    return before + 1, lengths
+    previous, lengths = run_lengths(np.diff(values) == 0.0)
+    return previous + 1, lengths
 
 
 def _spread(starts: Samples, lengths: Samples) -> Samples:
@@ -593,7 +593,7 @@ def zero_moves(trace: Trace) -> Iterator[Fault]:
 
 def resolution(trace: Trace, gap: float | None) -> Iterator[Fault]:
     """A channel in steps that are too large for its range, or the displacement's for the gap."""
-    for name, values, unit, least in (
+    for name, values, unit, fewest in (
         ("displacement", trace.displacement, "in", LEVELS),
         ("force", trace.force, "kip", FORCE_LEVELS),
     ):
@@ -602,7 +602,7 @@ def resolution(trace: Trace, gap: float | None) -> Iterator[Fault]:
         steps, of, across = float(np.ptp(values)) / quantum, "its range", ""
         if name == "displacement":
             of, across = "the stroke", "" if gap is None else f", {gap / quantum:.2g} in the gap"
-        if steps < least or (across and gap is not None and quantum > gap / CROSSING):
+        if steps < fewest or (across and gap is not None and quantum > gap / CROSSING):
             yield Fault.of(
                 "resolution" if name == "displacement" else "force resolution",
                 f"the {name} moves in steps of {{quantum}}, {steps:.0f} in {of}{across}: the "
@@ -659,13 +659,13 @@ def drift(trace: Trace) -> Iterator[Fault]:
     change = float(line.slope) * float(trace.time[-1] - trace.time[0])
     if count >= max(STEADY, 0.5 * strong.size) and not trace.varying:
         change = change if line.pvalue < P_VALUE else 0.0
-        size, least = features_of(trace)["slip"], STEADY_DRIFT
+        size, threshold = features_of(trace)["slip"], STEADY_DRIFT
     else:
-        size, least = 0.5 * float(np.subtract(*np.quantile(trace.force, [0.99, 0.01]))), DRIFT
-        few = max(trace.samples // 50, 1)
-        ends = float(trace.force[-few:].mean() - trace.force[:few].mean())
+        size, threshold = 0.5 * float(np.subtract(*np.quantile(trace.force, [0.99, 0.01]))), DRIFT
+        width = max(trace.samples // 50, 1)
+        ends = float(trace.force[-width:].mean() - trace.force[:width].mean())
         change = min(change, ends, key=abs) if change * ends > 0.0 else 0.0
-    if abs(change) > least * size > 0.0:
+    if abs(change) > threshold * size > 0.0:
         yield Fault.of(
             "drift",
             f"the force drifts by {_plus(change)}{{change}} from its begin to its end, "
@@ -675,9 +675,9 @@ def drift(trace: Trace) -> Iterator[Fault]:
         )
 
 
-def _count(number: int, thing: str) -> str:
+def _count(number: int, noun: str) -> str:
     """Number and noun: "3 steps"."""
-    return f"{number} {thing}{'' if number == 1 else 's'}"
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def _plus(value: float) -> str:
@@ -775,35 +775,39 @@ def estimate_lag(trace: Trace) -> tuple[float, Samples] | None:
 
     def misfits(lags: Array) -> tuple[Array, float]:
         """Squared misfit over all turns with the best λ, (lags,), and without any fall."""
-        misfit, whole = np.zeros((len(lengths), lags.size)), 0.0
+        misfit, total = np.zeros((len(lengths), lags.size)), 0.0
         for begin, turn, end, stop, force in falls:
             time = t[begin : end + 1]
             if time.size > 120:
                 time = np.linspace(time[0], time[-1], 120)
-            near = slice(begin, max(stop, end) + 1)
-            distance = np.abs(x[near] - x[turn])
+            segment = slice(begin, max(stop, end) + 1)
+            distance = np.abs(x[segment] - x[turn])
             distance[: max(turn - begin, 0) + 1] = 0.0
             distance = np.maximum.accumulate(distance)
             shape = detrend(
-                -np.expm1(-np.interp(time - lags[:, None], t[near], distance) / lengths)
+                -np.expm1(-np.interp(time - lags[:, None], t[segment], distance) / lengths)
             )
-            fall = detrend(-np.interp(time, t[near], force[near]))
-            square, along = np.sum(shape**2, axis=2), np.maximum(shape @ fall, 0.0)
+            fall = detrend(-np.interp(time, t[segment], force[segment]))
+            square, projection = np.sum(shape**2, axis=2), np.maximum(shape @ fall, 0.0)
             size = float(np.sum(fall**2))
-            misfit += size - np.where(square > 1e-12, along**2 / np.maximum(square, 1e-12), 0.0)
-            whole += size
-        return misfit.min(axis=0), whole
+            misfit += size - np.where(
+                square > 1e-12, projection**2 / np.maximum(square, 1e-12), 0.0
+            )
+            total += size
+        return misfit.min(axis=0), total
 
-    first, last = np.median([(t[b] - t[turn], t[e] - t[turn]) for b, turn, e, *_ in falls], axis=0)
-    coarse = np.linspace(first, last, 49)
-    misfit, whole = misfits(np.append(coarse, 0.0))
-    still = misfit[-1]
+    earliest, latest = np.median(
+        [(t[b] - t[turn], t[e] - t[turn]) for b, turn, e, *_ in falls], axis=0
+    )
+    coarse = np.linspace(earliest, latest, 49)
+    misfit, total = misfits(np.append(coarse, 0.0))
+    unlagged = misfit[-1]
     best = int(np.argmin(misfit[:-1]))
-    if misfit[best] > min(LIKELY * still, still - CLEAR * whole):
+    if misfit[best] > min(LIKELY * unlagged, unlagged - CLEAR * total):
         return None
     fine = coarse[best] + np.linspace(-1.0, 1.0, 9) * (coarse[1] - coarse[0])
     refined = misfits(fine)[0]
-    if refined.min() > FITTED * whole:
+    if refined.min() > FITTED * total:
         return None
     return float(fine[np.argmin(refined)]), np.array([turn for _, turn, *_ in falls])
 
@@ -821,22 +825,22 @@ def _falls(trace: Trace) -> Iterator[tuple[int, int, int, int, Array]]:
     long = np.abs(np.diff(x[ends])) >= STROKES * np.ptp(x)
     turns = np.flatnonzero(long[:-1] & long[1:]) + 1  # between long strokes
     for k in turns[:: max(1, -(-turns.size // REVERSALS))]:
-        before, turn, after = ends[k - 1 : k + 2].tolist()
-        force = np.sign(x[turn] - x[before]) * trace.force
-        since, until = (
+        start, turn, stop = ends[k - 1 : k + 2].tolist()
+        force = np.sign(x[turn] - x[start]) * trace.force
+        search_start, search_end = (
             a + int(np.argmax(np.abs(x[a : b + 1] - x[a]) >= share * abs(x[b] - x[a])))
-            for a, b, share in ((before, turn, SEARCH), (turn, after, 1.0 - SEARCH))
+            for a, b, share in ((start, turn, SEARCH), (turn, stop, 1.0 - SEARCH))
         )
-        window = force[since : until + 1]
+        window = force[search_start : search_end + 1]
         low, high = np.quantile(window, [0.1, 0.8])
-        since += int(np.argmax(window))
-        fallen = force[since : until + 1] < high - 0.5 * FALL * (high - low)
+        search_start += int(np.argmax(window))
+        fallen = force[search_start : search_end + 1] < high - 0.5 * FALL * (high - low)
         if high > low and fallen.any():
-            end = since + int(np.argmax(fallen))
-            far = np.abs(x[before:turn] - x[turn]) > NEAR_TURN * np.ptp(x)
-            begin = before + int(np.max(np.flatnonzero(far), initial=-1)) + 1
-            begin = max(before, min(begin, end - 2 * (turn - begin), end - 4))
-            yield begin, turn, end, after, force
+            end = search_start + int(np.argmax(fallen))
+            far = np.abs(x[start:turn] - x[turn]) > NEAR_TURN * np.ptp(x)
+            begin = start + int(np.max(np.flatnonzero(far), initial=-1)) + 1
+            begin = max(start, min(begin, end - 2 * (turn - begin), end - 4))
+            yield begin, turn, end, stop, force
 
 
 TOLERANCE = 0.1  # most difference of a record from its name, as a share of the name's value
@@ -909,31 +913,34 @@ LIKE, FORCE_OF_MOTION = 0.8, 0.4
 
 def _of_other_columns(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[Fault]:
     """Columns that are not used, and from which the loops show that they should be."""
-    inside = (record.time >= trace.time[0]) & (record.time <= trace.time[-1])
-    others = {
-        role: {n: values[inside] for n, (r, values) in record.rivals.items() if r == role}
+    in_trace = (record.time >= trace.time[0]) & (record.time <= trace.time[-1])
+    candidates = {
+        role: {n: values[in_trace] for n, (r, values) in record.rivals.items() if r == role}
         for role in ("time", "displacement", "force")
     }
-    used = {role: repr(name) for role, (name, _) in record.columns.items()}
-    for name, clock in others["time"].items() if "time" in used else ():
-        apart = clock - clock[0] - (trace.time - trace.time[0])
-        if np.max(np.abs(apart)) > CLOCK * np.ptp(trace.time):
+    labels = {role: repr(name) for role, (name, _) in record.columns.items()}
+    for name, clock in candidates["time"].items() if "time" in labels else ():
+        difference = clock - clock[0] - (trace.time - trace.time[0])
+        if np.max(np.abs(difference)) > CLOCK * np.ptp(trace.time):
             rates = [(trace.samples - 1) / float(np.ptp(t)) for t in (trace.time, clock)]
             yield Fault.of(
                 "two clocks",
                 "the time is read from {used}, and {name} is another clock: "
                 f"{rates[0]:.4g} Hz and {rates[1]:.4g} Hz; where force and displacement have a "
                 "time each, bring them onto one before, by interpolation",
-                used=used["time"],
+                used=labels["time"],
                 name=repr(name),
             )
     clean = without_spikes(trace)
     if clean.force is None or not {"displacement", "force"} <= set(roles):
         return
     if not explained_by_motion(clean) > FOLLOWS:
-        for role, columns in (("force", others["force"]), ("displacement", others["displacement"])):
+        for role, columns in (
+            ("force", candidates["force"]),
+            ("displacement", candidates["displacement"]),
+        ):
             for name, values in columns.items():
-                channel = {role: mended(values)}
+                channel = {role: despiked(values)}
                 motion = channel.get("displacement", clean.displacement)
                 force = channel.get("force", clean.force)
                 if not np.ptp(motion) > 0.0 < np.ptp(force):
@@ -946,23 +953,23 @@ def _of_other_columns(record: Record, trace: Trace, roles: Collection[str]) -> I
                         "{role} is read from {name} and not from {used}: which is it?",
                         role=role,
                         name=repr(name),
-                        used=used[role],
+                        used=labels[role],
                     )
         return
-    for name, values in others["displacement"].items():
-        other = mended(values)
-        if not np.ptp(other) > 0.0 or np.corrcoef(other, clean.displacement)[0, 1] < LIKE:
+    for name, values in candidates["displacement"].items():
+        rival = despiked(values)
+        if not np.ptp(rival) > 0.0 or np.corrcoef(rival, clean.displacement)[0, 1] < LIKE:
             continue
-        apart = clean.displacement - other
-        slope, _ = np.polyfit(clean.force, apart, 1)
+        difference = clean.displacement - rival
+        slope, _ = np.polyfit(clean.force, difference, 1)
         give = float(slope * np.ptp(clean.force))
-        follows = np.corrcoef(clean.force, apart)[0, 1] if np.ptp(apart) > 0.0 else 0.0
+        follows = np.corrcoef(clean.force, difference)[0, 1] if np.ptp(difference) > 0.0 else 0.0
         if follows > ELASTIC and give > GIVE * np.ptp(clean.displacement):
             yield Fault.of(
                 "other column",
                 "the displacement of {used} is that of {name} and {give} more, in proportion to "
                 "the force: it holds what gives way beside the device; which is across the device?",
-                used=used["displacement"],
+                used=labels["displacement"],
                 name=repr(name),
                 give=(give, "in"),
             )
@@ -974,24 +981,24 @@ def _of_columns(record: Record, roles: Collection[str]) -> Iterator[Fault]:
         if role in record.derived or (role not in roles and role != "actuation"):
             continue
         row = record.stated_units.get(role, "")
-        own, where = stated_unit(name, row), "the file" if row else "its name"
-        if not own or measure(own) != measure(unit):  # "kN" of "load_kN"
-            last = header_unit(name)
-            if last and measure(last) == measure(unit):
-                own, where = last, "its name"
-        if not own or " " in own or same_unit(own, unit):
+        stated, source = stated_unit(name, row), "the file" if row else "its name"
+        if not stated or measure(stated) != measure(unit):  # "kN" of "load_kN"
+            suffix = header_unit(name)
+            if suffix and measure(suffix) == measure(unit):
+                stated, source = suffix, "its name"
+        if not stated or " " in stated or same_unit(stated, unit):
             continue
         question = ": which is it?"
-        if measure(own) != measure(unit):
-            if may_mean(own, unit):
+        if measure(stated) != measure(unit):
+            if may_mean(stated, unit):
                 continue
-            question = f", which is no known unit of {role}: which is it{force_meant(own)}?"
+            question = f", which is no known unit of {role}: which is it{force_meant(stated)}?"
         yield Fault.of(
             "column unit",
-            f"column {{name}} is read in {{unit}}, and {where} says {{own}}{question}",
+            f"column {{name}} is read in {{unit}}, and {source} says {{own}}{question}",
             name=repr(name),
             unit=repr(unit),
-            own=repr(own),
+            own=repr(stated),
         )
 
 
@@ -1019,8 +1026,8 @@ def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[F
     if loops.period.size and "displacement" in roles:
         size = float(np.median(loops.amplitude[loops.strong]))
         text = "the record has an amplitude of {amplitude} (a stroke of {stroke})"
-        shown: dict[str, str | Value] = {"amplitude": (size, "in"), "stroke": (2 * size, "in")}
-        compared.append((_lengths(name), (size, 2 * size), text, shown))
+        sizes: dict[str, str | Value] = {"amplitude": (size, "in"), "stroke": (2 * size, "in")}
+        compared.append((_lengths(name), (size, 2 * size), text, sizes))
     if loops.period.size and "time" in roles:
         rate = float(1.0 / np.median(loops.period[loops.strong]))
         rates = dict(readings(name, m) for m in _FREQUENCY.finditer(name))
@@ -1032,25 +1039,25 @@ def _of_name(record: Record, trace: Trace, roles: Collection[str]) -> Iterator[F
             scale, internal = parse_actuation(level_text(1.0, match[2]))
             if internal == record.actuation_unit:
                 declared[words] = tuple(scale * number for number in numbers)
-        where = "the campaign"
+        origin = "the campaign"
         words = record.given_actuation or f"{level:.4g} {record.actuation_unit}"
         if "actuation" in record.columns:
             unit = record.columns["actuation"][1]
-            where, words = "its column", f"{level / actuation_factor(unit)[0]:.4g} {unit}"
-        text = f"{where} has an actuation of {{level}}"
+            origin, words = "its column", f"{level / actuation_factor(unit)[0]:.4g} {unit}"
+        text = f"{origin} has an actuation of {{level}}"
         compared.append((declared, (level,), text, {"level": words}))
     for figures, measured, text, values in compared:
         stated = chain.from_iterable(figures.values())
         if figures and not any(_near(s, f) for f, s in product(stated, measured)):
-            said = f"the name of {{file}} says {{words}}, but {text}"
+            sentence = f"the name of {{file}} says {{words}}, but {text}"
             words = " and ".join(figures)
-            yield Fault.of("file name", said, file=record.path.name, words=words, **values)
+            yield Fault.of("file name", sentence, file=record.path.name, words=words, **values)
 
 
 def _lengths(name: str) -> dict[str, tuple[float, ...]]:
     """Lengths in a file's name, in, by their words: amplitudes or whole strokes."""
     read = [(readings(name, m), factor(m[2], "displacement")) for m in _LENGTH.finditer(name)]
-    return {words: tuple(by * number for number in numbers) for (words, numbers), by in read}
+    return {words: tuple(scale * number for number in numbers) for (words, numbers), scale in read}
 
 
 def length_in_name(record: Record) -> tuple[str, str] | None:
@@ -1069,8 +1076,8 @@ def length_in_name(record: Record) -> tuple[str, str] | None:
     if len(agree) != 1:
         return None
     unit, words = agree.popitem()
-    why = f"the file's name says {words}, and the numbers have an amplitude of {amplitude:.3g}"
-    return unit, why
+    reason = f"the file's name says {words}, and the numbers have an amplitude of {amplitude:.3g}"
+    return unit, reason
 
 
 def readings(name: str, match: re.Match[str]) -> tuple[str, tuple[float, ...]]:
@@ -1082,17 +1089,17 @@ def readings(name: str, match: re.Match[str]) -> tuple[str, tuple[float, ...]]:
     """
     text, start = match[1].lower(), match.start(1)
     numbers = [float(re.sub("[px,]", ".", text))]
-    whole, times, last = text.partition("x")
-    if times and whole != "0":
-        numbers.insert(0 if len(last) >= 3 else 1, float(last))
-    before = _BEFORE.search(name[:start])
-    if before and text.isdigit() and len(text) <= 3:
-        start = before.start()
-        grouped = len(text) == 3 and before[1] != "0"
-        if before[2] != " " or not grouped:
-            numbers.append(float(f"{before[1]}.{text}"))
+    head, times, tail = text.partition("x")
+    if times and head != "0":
+        numbers.insert(0 if len(tail) >= 3 else 1, float(tail))
+    prefix = _BEFORE.search(name[:start])
+    if prefix and text.isdigit() and len(text) <= 3:
+        start = prefix.start()
+        grouped = len(text) == 3 and prefix[1] != "0"
+        if prefix[2] != " " or not grouped:
+            numbers.append(float(f"{prefix[1]}.{text}"))
         if grouped:
-            numbers.append(float(before[1] + text))
+            numbers.append(float(prefix[1] + text))
     return name[start : match.end()], tuple(dict.fromkeys(numbers))
 
 
@@ -1155,8 +1162,8 @@ def _facts_of_motion(record: Record, trace: Trace, loops: Loops) -> dict[str, Me
         facts["velocity"] = _message("{}", (trace.velocity, "in/s"))
     facts["turning points"] = Message(f"{turns} ({turns / 2:g} cycles)")
     if strong.size:
-        some = "" if strong.all() else f", {np.count_nonzero(strong)} of them at full stroke"
-        text, values = f"{strong.size}{some}: amplitude {{}}", [(loops.amplitude[strong], "in")]
+        suffix = "" if strong.all() else f", {np.count_nonzero(strong)} of them at full stroke"
+        text, values = f"{strong.size}{suffix}: amplitude {{}}", [(loops.amplitude[strong], "in")]
         if trace.timed:
             text += ", frequency {}"
             values.append((1.0 / loops.period[strong], "Hz"))
@@ -1187,27 +1194,27 @@ def _facts_of_force(record: Record, trace: Trace, loops: Loops | None) -> dict[s
     cycles = measured_cycles(trace)
     if loops is None or cycles is None or not cycles.energy.size:
         return facts
-    own, since = cycles.of_test(), "from the first loops to the last"
-    if has("slip_fwd") and np.isfinite([own["slip_fwd"], own["slip_bwd"]]).all():
+    values, span = cycles.of_test(), "from the first loops to the last"
+    if has("slip_fwd") and np.isfinite([values["slip_fwd"], values["slip_bwd"]]).all():
         facts["slip force"] = _slip_force(trace, cycles)
     for title, text, words in _SHOWN:
         names = words.split()
-        if has(names[0]) and np.isfinite([own[name] for name in names]).all():
-            facts[title] = _message(text, *((own[name], UNITS[name]) for name in names))
-    for title, kept, which in (
+        if has(names[0]) and np.isfinite([values[name] for name in names]).all():
+            facts[title] = _message(text, *((values[name], UNITS[name]) for name in names))
+    for title, mask, label in (
         ("energy per cycle", cycles.full_stroke, "at full stroke"),
         ("energy of ramps", ~cycles.full_stroke, "smaller"),
     ):
-        energy = cycles.energy[kept]
+        energy = cycles.energy[mask]
         if energy.size and has("energy"):
-            text = f"{{}} (mean of {energy.size} {which}, {{}})"
+            text = f"{{}} (mean of {energy.size} {label}, {{}})"
             facts[title] = _message(text, (energy.mean(), "kip*in"), (energy, "kip*in"))
     if loops.energy_drift is not None and has("energy"):
-        facts["energy drift"] = Message(f"{loops.energy_drift:+.1%} {since}")
+        facts["energy drift"] = Message(f"{loops.energy_drift:+.1%} {span}")
     offset = (float(np.median(cycles.offset)), "kip")
     facts["force offset"] = _message("{}, mean along a loop", offset, digits=3)
     if loops.offset_drift is not None:
-        facts["force drift"] = _message(f"{{}} {since}", (loops.offset_drift, "kip"), digits=3)
+        facts["force drift"] = _message(f"{{}} {span}", (loops.offset_drift, "kip"), digits=3)
     return facts
 
 
@@ -1218,8 +1225,8 @@ def _slip_force(trace: Trace, cycles: MeasuredCycles) -> Message:
     text, quantities = "{} forward, {} backward", [(values[name], "kip") for name in names]
     if np.isfinite(errors).all():
         text += " (standard errors {} and {})"
-        least = 1e-6 * max(cycles.largest_fwd, cycles.largest_bwd)  # below it is round-off
-        quantities += [(float(f"{e:.2g}") if e > least else 0.0, "kip") for e in errors]
+        threshold = 1e-6 * max(cycles.largest_fwd, cycles.largest_bwd)  # below it is round-off
+        quantities += [(float(f"{e:.2g}") if e > threshold else 0.0, "kip") for e in errors]
     if not zero_is_central(trace):
         return _message(f"{text}, at mid-stroke, where zero displacement is not", *quantities)
     middles = find_loops(trace).middle[cycles.full_stroke]
@@ -1237,5 +1244,5 @@ def _message(text: str, *values: tuple[Array | float, str], digits: int = 4) -> 
     quantities = {}
     for number, (value, unit) in enumerate(values):
         ends = (np.min(value), np.max(value)) if np.ndim(value) else (value,)
-        quantities[f"value{number}"] = Quantity.of(*map(float, ends), unit=unit, digits=digits)
+        quantities[f"value{number}"] = Measure.of(*map(float, ends), unit=unit, digits=digits)
     return Message(text.format(*(f"{{{name}}}" for name in quantities)), quantities)

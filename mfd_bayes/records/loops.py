@@ -57,22 +57,22 @@ class Loops:
 
         None without a force, with fewer than `FEWEST` strong loops, or fewer than weak ones.
         """
-        first, last = self._ends(self.energy)
-        return last / first - 1.0 if first else None
+        start, end = self._ends(self.energy)
+        return end / start - 1.0 if start else None
 
     @property
     def offset_drift(self) -> float | None:
         """Change of the offset, kip, from the first third of the strong loops to the last."""
-        first, last = self._ends(self.offset)
-        return None if first is None else last - first
+        start, end = self._ends(self.offset)
+        return None if start is None else end - start
 
     def _ends(self, values: Array | None) -> tuple[float | None, float]:
         """Median of the first third and of the last third of the strong loops."""
         strong = int(np.count_nonzero(self.strong))
         if values is None or strong < max(FEWEST, self.amplitude.size - strong):
             return None, 0.0
-        kept, third = values[self.strong], strong // 3
-        return float(np.median(kept[:third])), float(np.median(kept[-third:]))
+        selected, third = values[self.strong], strong // 3
+        return float(np.median(selected[:third])), float(np.median(selected[-third:]))
 
 
 def find_loops(trace: Trace) -> Loops:
@@ -82,17 +82,17 @@ def find_loops(trace: Trace) -> Loops:
         empty = np.empty(0)
         force = None if trace.force is None else empty
         return Loops(np.empty(0, dtype=np.intp), empty, empty, empty, force, force)
-    begins, kept = bounds[:-1] - bounds[0], slice(bounds[0], bounds[-1] + 1)
-    x = trace.displacement[kept]
+    begins, span = bounds[:-1] - bounds[0], slice(bounds[0], bounds[-1] + 1)
+    x = trace.displacement[span]
     high, low = np.maximum.reduceat(x, begins), np.minimum.reduceat(x, begins)
     energy = offset = None
     if trace.force is not None:
-        force = trace.force[kept]
+        force = trace.force[span]
         work = 0.5 * (force[1:] + force[:-1]) * np.diff(x)
         energy = np.add.reduceat(work, begins)
         halves = trace.cycle_turns[: bounds.size * 2 - 1] - bounds[0]
-        along = np.add.reduceat(work, halves[:-1]) / np.diff(x[halves])
-        offset = 0.5 * (along[::2] + along[1::2])
+        means = np.add.reduceat(work, halves[:-1]) / np.diff(x[halves])
+        offset = 0.5 * (means[::2] + means[1::2])
     period, amplitude, middle = np.diff(trace.time[bounds]), 0.5 * (high - low), 0.5 * (high + low)
     return Loops(bounds, period, amplitude, middle, energy, offset)
 
@@ -122,12 +122,12 @@ def explained_by_motion(trace: Trace, force: Array | None = None) -> float:
     way = np.searchsorted(trace.cycle_turns, samples, side="right") % 2 * 2.0 - 1.0
     line = np.column_stack([np.ones(x.size), trace.time - trace.time[0]])
     motion = np.column_stack([line, x, trace.velocity, way, way * np.abs(x)])
-    left = []
+    squares = []
     for columns in (line, motion):
         columns = columns / (np.linalg.norm(columns, axis=0) + 1e-300)
-        rest = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
-        left.append(float(rest @ rest))
-    return 1.0 - left[1] / left[0] if left[0] > 0.0 else 0.0
+        residual = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+        squares.append(float(residual @ residual))
+    return 1.0 - squares[1] / squares[0] if squares[0] > 0.0 else 0.0
 
 
 def roughness(values: Array) -> float:
@@ -140,11 +140,11 @@ def follows(motion: Array, force: Array) -> float:
     turns = turning_points(motion, TURN * float(np.ptp(motion)))
     if turns.size < 2:
         return 0.0
-    at = np.arange(turns[0], turns[-1])
-    way = np.searchsorted(turns, at, side="right") % 2
-    if not np.ptp(way) or not np.ptp(force[at]) > 0.0:
+    samples = np.arange(turns[0], turns[-1])
+    way = np.searchsorted(turns, samples, side="right") % 2
+    if not np.ptp(way) or not np.ptp(force[samples]) > 0.0:
         return 0.0
-    return abs(float(np.corrcoef(way, force[at])[0, 1]))
+    return abs(float(np.corrcoef(way, force[samples])[0, 1]))
 
 
 WINDOW = 0.15  # slip force: over this share of the stroke on both sides of zero displacement,
@@ -211,11 +211,13 @@ def _window(x: Array, centre: float, half: float) -> Array:
     low, high = centre - half, centre + half
     if not min(x[0], x[-1]) <= low < high <= max(x[0], x[-1]):
         return np.full(x.size, np.nan)
-    inside, step = np.clip(x, low, high), np.diff(x)
-    share = 0.5 * (inside[1:] + inside[:-1]) - x[:-1]  # of a step, to the middle of what is inside
+    clipped, step = np.clip(x, low, high), np.diff(x)
+    share = (
+        0.5 * (clipped[1:] + clipped[:-1]) - x[:-1]
+    )  # of a step, to the middle of what is inside
     share = np.divide(share, step, out=np.full(step.size, 0.5), where=step != 0.0)
-    part = np.diff(inside) / (inside[-1] - inside[0])
-    return np.asarray(np.append(part * (1.0 - share), 0.0) + np.insert(part * share, 0, 0.0))
+    weight = np.diff(clipped) / (clipped[-1] - clipped[0])
+    return np.asarray(np.append(weight * (1.0 - share), 0.0) + np.insert(weight * share, 0, 0.0))
 
 
 def asymmetry(trace: Trace) -> Array:
@@ -224,15 +226,15 @@ def asymmetry(trace: Trace) -> Array:
     The mean of the forward force and of the backward force, less its own mean: a record with both
     signs swapped has the opposite. NaN without full strokes in both directions.
     """
-    along = np.linspace(0.02, 0.98, 60)
+    grid = np.linspace(0.02, 0.98, 60)
     strokes, force = stroke_estimates(trace, np.empty((0, trace.samples))), np.asarray(trace.force)
     sides = []
     for sign in (1.0, -1.0):
-        curves = [np.full(along.size, np.nan)]
+        curves = [np.full(grid.size, np.nan)]
         for a, b in strokes.ends[strokes.full & (strokes.sign == sign)]:
             x = trace.displacement[a : b + 1]
             travel = np.maximum.accumulate((x - x[0]) / (x[-1] - x[0]))
-            curves.append(np.interp(along, travel, force[a : b + 1]))
+            curves.append(np.interp(grid, travel, force[a : b + 1]))
         sides.append(np.median(curves[1:] or curves, axis=0))
     mean = 0.5 * (sides[0] + sides[1])
     return np.asarray(mean - mean.mean())
@@ -243,24 +245,24 @@ def _rise(force: Array, travel: Array, slip: Array) -> tuple[Array, Array]:
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(slip[:, None] > 0.0, force / slip[:, None], np.nan)
         top = np.argmax(share >= RISE[1], axis=1)
-        below = (share <= RISE[0]) & (np.arange(travel.size) < top[:, None])
-        bottom = travel.size - 1 - np.argmax(below[:, ::-1], axis=1)
-        bottom[~below.any(axis=1)] = 0
+        before_rise = (share <= RISE[0]) & (np.arange(travel.size) < top[:, None])
+        bottom = travel.size - 1 - np.argmax(before_rise[:, ::-1], axis=1)
+        bottom[~before_rise.any(axis=1)] = 0
         low, high = (
-            _crossing(share, travel, at, level)
-            for at, level in ((bottom, RISE[0]), (np.maximum(top - 1, 0), RISE[1]))
+            _crossing(share, travel, index, level)
+            for index, level in ((bottom, RISE[0]), (np.maximum(top - 1, 0), RISE[1]))
         )
-        good = below.any(axis=1) & (high > low)
-        slope = np.where(good, (RISE[1] - RISE[0]) * slip / (high - low), np.nan)
+        valid = before_rise.any(axis=1) & (high > low)
+        slope = np.where(valid, (RISE[1] - RISE[0]) * slip / (high - low), np.nan)
         return slope, np.asarray(high + (1.0 - RISE[1]) * slip / slope)
 
 
-def _crossing(share: Array, travel: Array, at: NDArray[np.intp], level: float) -> Array:
-    """Travel, (n,), at which shares (n, m) cross a level between samples `at` and `at` + 1."""
-    rows, behind = np.arange(len(share)), np.minimum(at + 1, travel.size - 1)
-    before, after = share[rows, at], share[rows, behind]
-    part = np.where(after > before, (level - before) / (after - before), 0.0)
-    return np.asarray(travel[at] + part * (travel[behind] - travel[at]))
+def _crossing(share: Array, travel: Array, i: NDArray[np.intp], level: float) -> Array:
+    """Travel, (n,), at which shares (n, m) cross a level between samples `i` and `i` + 1."""
+    rows, next_i = np.arange(len(share)), np.minimum(i + 1, travel.size - 1)
+    lower, upper = share[rows, i], share[rows, next_i]
+    fraction = np.where(upper > lower, (level - lower) / (upper - lower), 0.0)
+    return np.asarray(travel[i] + fraction * (travel[next_i] - travel[i]))
 
 
 @dataclass(frozen=True)
@@ -305,23 +307,23 @@ def scales_of(trace: Trace) -> Scales | None:
 
 def middle(scales: Iterable[Scales]) -> Scales:
     """Scales in the middle of several records: the median of each."""
-    return Scales(*np.median([astuple(each) for each in scales], axis=0).tolist())
+    return Scales(*np.median([astuple(item) for item in scales], axis=0).tolist())
 
 
-def _positive(value: float, other: float) -> float:
-    return value if np.isfinite(value) and value > 0.0 else other
+def _positive(value: float, default: float) -> float:
+    return value if np.isfinite(value) and value > 0.0 else default
 
 
 def _unloading(trace: Trace, force: Array, slip: float) -> float:
     """Median slope after the turns of full strokes, kip/in; NaN where it cannot be read."""
     strokes, x = stroke_estimates(trace, np.empty((0, trace.samples))), trace.displacement
     slopes = [np.nan]
-    for (first, last), sign in zip(
+    for (start, end), sign in zip(
         strokes.ends[strokes.full], strokes.sign[strokes.full], strict=True
     ):
-        share = -sign * force[first : last + 1] / slip  # falls from 1 after the turn
-        above, below = (int(np.argmax(share <= level)) for level in UNLOADING)
-        travel, drop = abs(x[first + below] - x[first + above]), share[above] - share[below]
+        share = -sign * force[start : end + 1] / slip  # falls from 1 after the turn
+        upper, lower = (int(np.argmax(share <= level)) for level in UNLOADING)
+        travel, drop = abs(x[start + lower] - x[start + upper]), share[upper] - share[lower]
         if share[0] > UNLOADING[0] and travel > 0.0 < drop:
             slopes.append(drop * slip / travel)
     return float(np.median(slopes[1:] or slopes))
@@ -449,27 +451,27 @@ def cycle_values(trace: Trace, force: Array) -> dict[str, Array]:
     )
     values = {name: np.full((len(force), max(bounds.size - 1, 0)), np.nan) for name in UNITS}
     for cycle, (begin, end) in enumerate(pairwise(bounds.tolist())):
-        kept = slice(begin, end + 1)
-        f, motion = force[:, kept], x[kept]
+        span = slice(begin, end + 1)
+        f, motion = force[:, span], x[span]
         high, low = int(motion.argmax()), int(motion.argmin())
         stroke, energy = motion[high] - motion[low], np.trapezoid(f, motion, axis=1)
         stiffness = (f[:, high] - f[:, low]) / stroke
         stiffness[stiffness == 0.0] = np.nan
-        squares = np.trapezoid(trace.velocity[kept] ** 2, trace.time[kept])
-        both = slice(2 * cycle, 2 * cycle + 2)
-        own = {
+        squares = np.trapezoid(trace.velocity[span] ** 2, trace.time[span])
+        pair = slice(2 * cycle, 2 * cycle + 2)
+        measured = {
             "peak_fwd": f.max(axis=1),
             "peak_bwd": -f.min(axis=1),
             "effective_stiffness": stiffness,
             "effective_damping": 2.0 / np.pi * energy / (stiffness * stroke**2),
             "energy": energy,
             "c_eq": energy / squares if squares > 0.0 else np.full(len(force), np.nan),
-            "build_up_slope": mean_of(strokes.slope[:, both]),
-            "gap": mean_of(strokes.gap[:, both]),
+            "build_up_slope": mean_of(strokes.slope[:, pair]),
+            "gap": mean_of(strokes.gap[:, pair]),
         }
-        for slip, sign in zip(strokes.slip[:, both].T, strokes.sign[both], strict=True):
-            own["slip_fwd" if sign > 0.0 else "slip_bwd"] = slip
-        for name, value in own.items():
+        for slip, sign in zip(strokes.slip[:, pair].T, strokes.sign[pair], strict=True):
+            measured["slip_fwd" if sign > 0.0 else "slip_bwd"] = slip
+        for name, value in measured.items():
             values[name][:, cycle] = value
     return values
 
@@ -484,8 +486,8 @@ def features_of(trace: Trace) -> dict[str, float]:
     return values | {"slip": 0.5 * (values["slip_fwd"] + values["slip_bwd"])}
 
 
-def mean_of(values: Array, kept: NDArray[np.bool_] | None = None) -> Array:
+def mean_of(values: Array, mask: NDArray[np.bool_] | None = None) -> Array:
     """Mean of values (…, L) that are known, of some cycles or of all, (…); NaN where none is."""
-    known = np.isfinite(values) if kept is None else np.isfinite(values) & kept
-    means = np.ma.array(values, mask=~known).mean(axis=-1)
+    valid = np.isfinite(values) if mask is None else np.isfinite(values) & mask
+    means = np.ma.array(values, mask=~valid).mean(axis=-1)
     return np.asarray(np.ma.filled(means, np.nan))

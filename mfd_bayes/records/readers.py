@@ -85,30 +85,30 @@ def read_text(path: Path) -> Table:
     """
     lines = _decode(path)
     comment = _COMMENT.match
-    kept = [i for i, line in enumerate(lines) if line.strip() and not comment(line)]
-    while kept and not lines[kept[-1]].strip(_NO_CELL):
-        kept.pop()
-    if sum(len(lines[i]) for i in kept if not lines[i].strip(_NO_CELL)) > EMPTY:
+    filled = [i for i, line in enumerate(lines) if line.strip() and not comment(line)]
+    while filled and not lines[filled[-1]].strip(_NO_CELL):
+        filled.pop()
+    if sum(len(lines[i]) for i in filled if not lines[i].strip(_NO_CELL)) > EMPTY:
         raise RecordError(f"{path} is full of lines of separators alone; expected numbers in them")
-    if not kept:
+    if not filled:
         raise RecordError(f"{path} is empty")
-    separator, rows, layout = _layout(path, [lines[i] for i in kept[:SEARCHED]])
+    separator, rows, layout = _layout(path, [lines[i] for i in filled[:SEARCHED]])
     top = layout.data if layout.names is None else layout.names
     width = len(rows[top]) if layout.names is None else max(len(kinds(rows[top]).rstrip("-")), 1)
-    top, heading = kept[top], None
-    if layout.names is None and (above := _heading_in_comments(lines[:top], separator, width)):
-        top, heading = above[0], above[1:]
-    body = [lines[i] for i in kept[layout.data :]]
+    top, heading = filled[top], None
+    if layout.names is None and (caption := _heading_in_comments(lines[:top], separator, width)):
+        top, heading = caption[0], caption[1:]
+    body = [lines[i] for i in filled[layout.data :]]
     columns = _columns(body, separator, width) if body else None
     if columns is None:  # line by line, for what stands between the numbers
-        for at in kept[layout.data :]:
-            if '"' in lines[at] and _OPEN.search(lines[at]):
+        for index in filled[layout.data :]:
+            if '"' in lines[index] and _OPEN.search(lines[index]):
                 raise RecordError(
-                    f"line {at + 1} of {path} has a quotation mark without its partner, which "
+                    f"line {index + 1} of {path} has a quotation mark without its partner, which "
                     "would join it with the next lines"
                 )
         rows = [*rows[: layout.data], *(_split(line, separator) for line in body)]
-    numbers = [i + 1 for i in kept]
+    numbers = [i + 1 for i in filled]
     table = Grid(path, rows, numbers).table(
         layout,
         heading,
@@ -118,11 +118,11 @@ def read_text(path: Path) -> Table:
     )
     if table.headed:
         _check_order(path, lines, table.names, top)
-    used = set(table.rows)
+    row_numbers = set(table.rows)
     for number, row in zip(numbers, rows, strict=False) if columns is None else ():
         # Between blanks no cell can be empty.
         short = separator == BLANKS and len(row) < width
-        if number in used and (any(row[width:]) or short):
+        if number in row_numbers and (any(row[width:]) or short):
             as_in = "one for each name in" if table.headed else "as many as in"
             raise RecordError(
                 f"line {number} of {path}: expected {width} cells, {as_in} line {top + 1}, found "
@@ -178,7 +178,7 @@ def _wide(head: bytes) -> str:
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
     size = len(head) // 4
-    shares = [head[at::4].count(0) / max(size, 1) for at in range(4)]
+    shares = [head[k::4].count(0) / max(size, 1) for k in range(4)]
     for encoding, letters in (
         ("utf-32-le", "x000"),
         ("utf-32-be", "000x"),
@@ -254,23 +254,23 @@ def _columns(body: list[str], separator: str, width: int) -> list[Array] | None:
 
 
 def _heading_in_comments(
-    above: Sequence[str], separator: str, width: int
+    lines: Sequence[str], separator: str, width: int
 ) -> tuple[int, tuple[str, ...], list[str]] | None:
     """Line, names and units in the comments right above numbers that have no names."""
-    comments = [at for at, line in enumerate(above) if line.lstrip().startswith(tuple(_COMMENTS))]
-    words = {at: row for at in comments[-2:] if (row := _words(above[at], separator, width))}
+    comments = [i for i, line in enumerate(lines) if line.lstrip().startswith(tuple(_COMMENTS))]
+    words = {i: row for i in comments[-2:] if (row := _words(lines[i], separator, width))}
     if not words:
         return None
-    first, *_, last = *words, *words
-    if len(words) == 2 and gives_units(words[last], words[first]):
-        return first, labels(words[first]), words[last]
-    return last, labels(words[last]), []
+    top, *_, bottom = *words, *words
+    if len(words) == 2 and gives_units(words[bottom], words[top]):
+        return top, labels(words[top]), words[bottom]
+    return bottom, labels(words[bottom]), []
 
 
 def _words(comment: str, separator: str, width: int) -> list[str]:
     """Words of a comment, one for each column; empty where it has not so many, or a number."""
-    whole = comment.strip()
-    for text in (whole.lstrip(_COMMENTS).strip(), whole):  # a column may be called #
+    stripped = comment.strip()
+    for text in (stripped.lstrip(_COMMENTS).strip(), stripped):  # a column may be called #
         for sign in dict.fromkeys((separator, *SEPARATORS)):
             words = _split(text, sign) if sign != BLANKS else re.split(_BEFORE_NAME, text)
             if len(words) == width > 1 and "n" not in kinds(words):
@@ -282,12 +282,12 @@ def _words(comment: str, separator: str, width: int) -> list[str]:
 
 def _check_order(path: Path, lines: Sequence[str], names: Sequence[str], top: int) -> None:
     """Refuse a comment below the names that has them in another order."""
-    for at, line in enumerate(lines[top + 1 :], start=top + 2):
+    for row, line in enumerate(lines[top + 1 :], start=top + 2):
         if line.lstrip().startswith("#"):
             words = _words(line, ",", len(names))
             if words and words != list(names) and sorted(words) == sorted(names):
                 raise RecordError(
-                    f"line {at} of {path} names the columns in another order than line {top + 1}: "
+                    f"line {row} of {path} names the columns in another order than line {top + 1}: "
                     "keep one table in a file"
                 )
 
@@ -314,15 +314,15 @@ def read_json(path: Path) -> Table:
         raise RecordError(f"{path} is not UTF-8 text, as a .json file must be") from error
     except (ValueError, RecursionError) as error:
         raise RecordError(f"{path} is not valid JSON: {why_invalid(error)}") from error
-    beside: dict[str, Any] = {}
+    context: dict[str, Any] = {}
     while isinstance(content, dict) and (inner := _inner(content)):
-        beside |= content
-        content = beside.pop(inner)
-    whole: dict[str, Any] = content if isinstance(content, dict) else {}
-    named, given = _beside(beside | whole, _UNITS)
-    names = _beside(beside, _TITLES)[1]
+        context |= content
+        content = context.pop(inner)
+    mapping: dict[str, Any] = content if isinstance(content, dict) else {}
+    named, unit_texts = _beside(context | mapping, _UNITS)
+    names = _beside(context, _TITLES)[1]
     if isinstance(names, list) and all(isinstance(name, dict) for name in names):
-        given = given or [str(_beside(name, _UNITS)[1] or "") for name in names]
+        unit_texts = unit_texts or [str(_beside(name, _UNITS)[1] or "") for name in names]
         names = [_beside(name, ("name", "Name", "label", "id"))[1] for name in names]
     headed = True
     match content:
@@ -332,40 +332,40 @@ def read_json(path: Path) -> Table:
             headed, columns = False, _of_rows(path, content, labels([""] * len(cells)))
         case {"columns": [*names], "data": [*lines]}:
             columns = _of_rows(path, lines, [str(name) for name in names])
-        case [{}, *_] if all(_signal(each) is not None for each in content):
-            titles = [str(_beside(each, ("name", "Name", "label", "id"))[1]) for each in content]
+        case [{}, *_] if all(_signal(item) is not None for item in content):
+            titles = [str(_beside(item, ("name", "Name", "label", "id"))[1]) for item in content]
             columns = dict(zip(labels(titles), map(_signal, content), strict=True))
-            given = [str(_beside(each, _UNITS)[1] or "") for each in content]
+            unit_texts = [str(_beside(item, _UNITS)[1] or "") for item in content]
         case [*lines]:
             columns = _of_rows(path, lines)
         case {}:
-            columns = {k: v for k, v in whole.items() if isinstance(v, dict | list)}
+            columns = {k: v for k, v in mapping.items() if isinstance(v, dict | list)}
             signals = {k: _signal(v) for k, v in columns.items() if _signal(v) is not None}
             if signals:
-                given = {k: str(_beside(columns[k], _UNITS)[1] or "") for k in signals}
+                unit_texts = {k: str(_beside(columns[k], _UNITS)[1] or "") for k in signals}
                 columns = signals
         case _:
             raise RecordError(f"{path} must hold an object of lists or a list of objects")
-    if isinstance(given, list) and len(given) == len(columns) and named not in columns:
-        given = dict(zip(columns, given, strict=True))
-    if isinstance(given, dict) and all(isinstance(unit, str) for unit in given.values()):
+    if isinstance(unit_texts, list) and len(unit_texts) == len(columns) and named not in columns:
+        unit_texts = dict(zip(columns, unit_texts, strict=True))
+    if isinstance(unit_texts, dict) and all(isinstance(unit, str) for unit in unit_texts.values()):
         columns = {name: column for name, column in columns.items() if name != named}
     else:
-        given = {}
+        unit_texts = {}
     if not columns:
         raise RecordError(f"{path} holds no columns; expected an object of lists")
     # Columns as pandas writes them have the same row labels; another object is no column.
     labelled = [column for column in columns.values() if isinstance(column, dict)]
-    rows = max((list(column) for column in labelled), key=lambda each: len(each), default=[])
+    rows = max((list(column) for column in labelled), key=lambda item: len(item), default=[])
     columns = {
         name: [column[row] for row in rows] if isinstance(column, dict) else column
         for name, column in columns.items()
         if not isinstance(column, dict) or column.keys() == set(rows)
     }
-    units = {name: unit for name, text in given.items() if (unit := bare_unit(text))}
+    units = {name: unit for name, text in unit_texts.items() if (unit := bare_unit(text))}
     units |= {name: "s" for name, cells in columns.items() if cells and is_stamp(cells[0])}
-    stated = beside | whole
-    stated |= {k: v for each in beside.values() if isinstance(each, dict) for k, v in each.items()}
+    stated = context | mapping
+    stated |= {k: v for item in context.values() if isinstance(item, dict) for k, v in item.items()}
     settings = tuple(f"{k}: {v}" for k, v in stated.items() if type(v) in (int, float, str))
     return Table(path, columns, units=units, headed=headed, decimals=(".", ","), head=settings)
 
@@ -404,7 +404,7 @@ def _is_table(content: Any) -> bool:
     """Whether a value is a list of rows, an object of two lists or more, or holds one of these."""
     if isinstance(content, list):
         rows = len(content) >= SHORTEST and isinstance(content[0], list | dict)
-        return rows or (len(content) > 1 and all(_signal(each) is not None for each in content))
+        return rows or (len(content) > 1 and all(_signal(item) is not None for item in content))
     if not isinstance(content, dict):
         return False
     lists = [v for v in content.values() if isinstance(v, list) or _signal(v) is not None]
@@ -414,20 +414,20 @@ def _is_table(content: Any) -> bool:
 
 def _of_rows(path: Path, rows: list[Any], names: Sequence[str] | None = None) -> dict[str, Any]:
     """Columns of rows that are objects, or lists with a cell for each name."""
-    every: dict[str, None] = {}
+    keys: dict[str, None] = {}
     for i, row in enumerate(rows):
         if names is not None and isinstance(row, list) and len(row) == len(names):
             rows[i] = row = dict(zip(names, row, strict=True))
         if not isinstance(row, dict):
             raise RecordError(f"row {i + 1} of {path} must be an object with one value per column")
-        every.update(dict.fromkeys(row))
-    check_names(path, [""] * len(every))
-    if len(every) * len(rows) > CELLS:
+        keys.update(dict.fromkeys(row))
+    check_names(path, [""] * len(keys))
+    if len(keys) * len(rows) > CELLS:
         raise RecordError(
-            f"{path} has {len(rows):,} rows of {len(every):,} columns; at most {CELLS:,} cells "
+            f"{path} has {len(rows):,} rows of {len(keys):,} columns; at most {CELLS:,} cells "
             "are read"
         )
-    return {name: [row.get(name) for row in rows] for name in every}
+    return {name: [row.get(name) for row in rows] for name in keys}
 
 
 Content = tuple[dict[str, Any], Mapping[str, NDArray[np.generic]]]
@@ -485,8 +485,8 @@ def read_in_child(
 
 def _from_child(read: Callable[[Path], Content], path: Path) -> bytes:
     """What a copy of this process says, or a new one: a copy of threads may wait for ever."""
-    alone = threading.active_count() == 1 and not multiprocessing.current_process().daemon
-    if not alone or "fork" not in multiprocessing.get_all_start_methods():
+    can_fork = threading.active_count() == 1 and not multiprocessing.current_process().daemon
+    if not can_fork or "fork" not in multiprocessing.get_all_start_methods():
         code = (
             "import sys; sys.path[:] = sys.argv[3:]\nfrom pathlib import Path\n"
             "from mfd_bayes.records import readers\nstream = open(readers.os.dup(1), 'wb')\n"
@@ -521,9 +521,11 @@ def limited(read: Callable[[Path], Content], path: Path) -> bytes:
         import resource
 
         has = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        most = resource.getrlimit(resource.RLIMIT_AS)[1]
-        limit = has + MEMORY if most == resource.RLIM_INFINITY else min(has + MEMORY, most)
-        resource.setrlimit(resource.RLIMIT_AS, (limit, most))
+        hard_limit = resource.getrlimit(resource.RLIMIT_AS)[1]
+        limit = (
+            has + MEMORY if hard_limit == resource.RLIM_INFINITY else min(has + MEMORY, hard_limit)
+        )
+        resource.setrlimit(resource.RLIMIT_AS, (limit, hard_limit))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     facts: dict[str, Any] = {"error": ""}
     arrays: Mapping[str, Any] = {}
@@ -566,14 +568,16 @@ def read_excel(path: Path) -> Table:
         raise RecordError(
             f"{path} holds no row of two names or more above numbers in its sheets {titles}"
         )
-    best, layout = max(grids, key=lambda each: (each[1].names is not None, each[1].weight))
+    best, layout = max(grids, key=lambda pair: (pair[1].names is not None, pair[1].weight))
     doubts: tuple[str, ...] = ()
     if layout.names is not None:
         names = best.rows[layout.names]
         alike = [
             grid.sheet.removeprefix("sheet ")
-            for grid, other in grids
-            if grid is not best and other.names is not None and grid.rows[other.names] == names
+            for grid, grid_layout in grids
+            if grid is not best
+            and grid_layout.names is not None
+            and grid.rows[grid_layout.names] == names
         ]
         if alike:
             doubts = (
@@ -683,16 +687,16 @@ def _inside(name: str, value: Any, depth: int, units: dict[str, str]) -> Arrays:
     if value.dtype.names is None or depth >= DEEPEST or value.size > SIGNALS:
         return
     for number, element in enumerate(value.reshape(-1), start=1):
-        place = f"{name}({number})" if value.size > 1 else name
+        prefix = f"{name}({number})" if value.size > 1 else name
         fields = dict(zip(value.dtype.names, element, strict=True))
         label = np.asarray(fields.get("label", ""))
         text = label.dtype.kind == "U" and label.size == 1
         words = f" {label.reshape(-1)[0]}".rstrip() if text else ""
         title, unit = (_word_of(fields, keys) for keys in (("Name", "name"), _UNITS))
         for field, content in fields.items():
-            signal = f"{place}.{field}{words * (field == 'values')}"
+            signal = f"{prefix}.{field}{words * (field == 'values')}"
             if title and field in _VALUES:
-                signal = f"{place}.{title}" if title in units else title
+                signal = f"{prefix}.{title}" if title in units else title
                 units[signal] = bare_unit(unit)
             yield from _inside(signal, content, depth + 1, units)
 
@@ -708,7 +712,7 @@ def _v73(path: Path) -> Arrays:
     os.environ["HDF5_PLUGIN_PRELOAD"] = "::"  # a plugin would be foreign code
     import h5py
 
-    def arrays_of(group: Any, above: str, depth: int) -> Arrays:
+    def arrays_of(group: Any, prefix: str, depth: int) -> Arrays:
         for name in group:
             if name.startswith("#"):  # the contents of cells and objects
                 continue
@@ -717,14 +721,14 @@ def _v73(path: Path) -> Arrays:
             item = group[name]
             if isinstance(item, h5py.Group):
                 if depth < DEEPEST and "MATLAB_sparse" not in item.attrs:
-                    yield from arrays_of(item, f"{above}{name}.", depth + 1)
+                    yield from arrays_of(item, f"{prefix}{name}.", depth + 1)
             elif isinstance(item, h5py.Dataset):
                 if item.is_virtual or item.external:
                     raise UnreadableError(f"takes {name[:60]!r} from another file")
                 kind = bytes(item.attrs.get("MATLAB_class", b""))
                 numeric = item.dtype.kind in "fiub" and kind not in (b"char", b"cell")
                 if numeric and item.shape and "MATLAB_empty" not in item.attrs:
-                    yield above + name, np.asarray(item[()]).T  # in MATLAB's order
+                    yield prefix + name, np.asarray(item[()]).T  # in MATLAB's order
 
     with h5py.File(path, "r") as file:
         yield from arrays_of(file, "", 0)
@@ -736,9 +740,9 @@ class _Clock(NamedTuple):
     step: float
     begin: float
 
-    def differs(self, other: _Clock) -> bool:
-        even = math.isclose(self.step, other.step, rel_tol=EVEN)
-        return not even or abs(self.begin - other.begin) > SHARE * self.step
+    def differs(self, clock: _Clock) -> bool:
+        same_step = math.isclose(self.step, clock.step, rel_tol=EVEN)
+        return not same_step or abs(self.begin - clock.begin) > SHARE * self.step
 
 
 def read_tdms(path: Path) -> Table:
@@ -772,12 +776,12 @@ def read_tdms(path: Path) -> Table:
     times: dict[str, tuple[_Clock, int]] = {}  # for each group whose channels share a clock
     notes = []
     for group in () if timed else dict.fromkeys(channels[name]["group"] for name in clocks):
-        inside = [name for name in clocks if channels[name]["group"] == group]
-        sizes = [len(columns[name]) for name in inside]
-        if problem := _out_of_step({name: clocks[name] for name in inside}):
+        members = [name for name in clocks if channels[name]["group"] == group]
+        sizes = [len(columns[name]) for name in members]
+        if problem := _out_of_step({name: clocks[name] for name in members}):
             notes.append(problem)
         else:
-            times[f"{group}/time"] = clocks[inside[0]], max(sizes)
+            times[f"{group}/time"] = clocks[members[0]], max(sizes)
         if min(sizes) < max(sizes):
             notes.append(
                 f"channels of {group!r} have {min(sizes)} to {max(sizes)} samples: only those that "
@@ -795,7 +799,7 @@ def read_tdms(path: Path) -> Table:
         path,
         values | columns,
         units=units | dict.fromkeys(times, "s"),
-        align=lambda used: _align(path, used, clocks, texts),
+        align=lambda selected: _align(path, selected, clocks, texts),
         notes=tuple(notes),
         head=tuple(facts["settings"]),
     )
@@ -817,14 +821,16 @@ def _channels(path: Path) -> Content:
                     f"is cut off: its last part declares {status.expected_length:,} samples of "
                     f"channel {name} and holds {status.read_length:,}"
                 )
-        every = [channel for group in file.groups() for channel in group.channels()]
-        if sum(map(len, every)) > SAMPLES:
+        all_channels = [channel for group in file.groups() for channel in group.channels()]
+        if sum(map(len, all_channels)) > SAMPLES:
             raise UnreadableError(f"holds more than {SAMPLES:,} samples, the most that are read")
-        for channel in every:
+        for channel in all_channels:
             if not len(channel):
                 continue
-            kind, values, own = np.dtype(channel.dtype).kind, np.empty(0), channel.properties
-            unit = bare_unit(str(own.get("unit_string") or own.get("NI_UnitDescription") or ""))
+            kind, values, properties = np.dtype(channel.dtype).kind, np.empty(0), channel.properties
+            unit = bare_unit(
+                str(properties.get("unit_string") or properties.get("NI_UnitDescription") or "")
+            )
             if kind == "M":
                 stamps = channel[:].astype("M8[us]")
                 values, unit = (stamps - stamps[0]) / np.timedelta64(1, "s"), "s"
@@ -837,13 +843,13 @@ def _channels(path: Path) -> Content:
                     "name": channel.name,
                     "numeric": kind in "fiubM",
                     "unit": unit,
-                    "clock": _clock(own),
+                    "clock": _clock(properties),
                 }
             )
         settings = [
             f"{name}: {value}"
-            for part in (file, *file.groups())
-            for name, value in part.properties.items()
+            for item in (file, *file.groups())
+            for name, value in item.properties.items()
         ]
     return {"channels": channels, "settings": settings}, arrays
 
@@ -864,13 +870,13 @@ def _clock(properties: Mapping[str, Any]) -> tuple[float, float | None, float] |
 
 def _out_of_step(clocks: Mapping[str, _Clock]) -> str:
     """Why waveforms cannot be used together; empty where they can."""
-    for name, own in clocks.items():
-        first, clock = next(iter(clocks.items()))
-        if own.differs(clock):
-            problem = f"has a step of {own.step:g} s, {first} one of {clock.step:g} s"
-            if math.isclose(own.step, clock.step, rel_tol=EVEN):
-                way = "after" if own.begin > clock.begin else "before"
-                problem = f"begins {abs(own.begin - clock.begin):.6g} s {way} {first}"
+    for name, candidate in clocks.items():
+        reference, clock = next(iter(clocks.items()))
+        if candidate.differs(clock):
+            problem = f"has a step of {candidate.step:g} s, {reference} one of {clock.step:g} s"
+            if math.isclose(candidate.step, clock.step, rel_tol=EVEN):
+                way = "after" if candidate.begin > clock.begin else "before"
+                problem = f"begins {abs(candidate.begin - clock.begin):.6g} s {way} {reference}"
             return f"{name} {problem}: they cannot be used together"
     return ""
 
@@ -878,13 +884,13 @@ def _out_of_step(clocks: Mapping[str, _Clock]) -> str:
 def _align(
     path: Path,
     columns: Mapping[str, Column],
-    every: Mapping[str, _Clock],
+    all_clocks: Mapping[str, _Clock],
     texts: Collection[str],
 ) -> Mapping[str, Column]:
     """Columns as far as all waveforms among them go."""
     if wrong := next((name for name in columns if name in texts), None):
         raise RecordError(f"channel {wrong!r} of {path} holds no real numbers; expected numbers")
-    clocks = {name: every[name] for name in columns if name in every}
+    clocks = {name: all_clocks[name] for name in columns if name in all_clocks}
     if problem := _out_of_step(clocks):
         raise RecordError(f"{path}: {problem}")
     size = min((len(columns[name]) for name in clocks), default=None)

@@ -30,7 +30,7 @@ from mfd_bayes.records.trace import (
     check_magnitude,
     check_size,
     check_trace,
-    mended,
+    despiked,
     smallest_turn,
     turning_points,
 )
@@ -80,34 +80,34 @@ def after_gaps(time: Array) -> NDArray[np.intp]:
 
 
 def longest_piece(
-    time: Array, place: Callable[[int], str], window: tuple[float, float] | None
+    time: Array, row_name: Callable[[int], str], window: tuple[float, float] | None
 ) -> tuple[slice, str]:
     """Samples of the longest piece of a time without a gap, and a sentence where there is one.
 
-    `place` names a row, from 0; only the part of a piece inside the window counts.
+    `row_name` names a row, from 0; only the part of a piece inside the window counts.
     """
-    steps, after = np.diff(time), after_gaps(time)
-    if not after.size:
+    steps, gap_ends = np.diff(time), after_gaps(time)
+    if not gap_ends.size:
         return slice(0, time.size), ""
-    bounds = [0, *(int(at) for at in after), time.size]
+    bounds = [0, *(int(k) for k in gap_ends), time.size]
     start, end = (-np.inf, np.inf) if window is None else window
     spans = [min(time[b - 1], end) - max(time[a], start) for a, b in pairwise(bounds)]
     best = int(np.argmax(spans))
-    first, last = bounds[best], bounds[best + 1]
-    missing = float(steps[after - 1].max())
-    gaps = "a gap" if after.size == 1 else f"{after.size} gaps, the longest"
-    at = int(after[np.argmax(steps[after - 1])])
-    share = (time[last - 1] - time[first]) / (time[-1] - time[0])
-    return slice(first, last), (
-        f"time has {gaps} of {missing:.4g} s before {place(at)}, after {time[at - 1]:g} s; the "
-        f"longest unbroken piece is used, {time[first]:g} s to {time[last - 1]:g} s, "
+    begin, stop = bounds[best], bounds[best + 1]
+    missing = float(steps[gap_ends - 1].max())
+    gaps = "a gap" if gap_ends.size == 1 else f"{gap_ends.size} gaps, the longest"
+    k = int(gap_ends[np.argmax(steps[gap_ends - 1])])
+    share = (time[stop - 1] - time[begin]) / (time[-1] - time[0])
+    return slice(begin, stop), (
+        f"time has {gaps} of {missing:.4g} s before {row_name(k)}, after {time[k - 1]:g} s; the "
+        f"longest unbroken piece is used, {time[begin]:g} s to {time[stop - 1]:g} s, "
         f"{share:.0%} of the record"
     )
 
 
 def check_increasing(table: Table, time: Array) -> None:
     """Refuse a time of a table, (T,), s, that is too short, stands still or goes back."""
-    path, place = table.path, table.place
+    path, row_name = table.path, table.place
     if time.size < SAMPLES:
         raise RecordError(f"{path} has {time.size} samples; at least {SAMPLES} are needed")
     steps = np.diff(time)
@@ -121,7 +121,7 @@ def check_increasing(table: Table, time: Array) -> None:
             )
         coarse = table.stamped and steps[row - 1] == 0.0
         raise RecordError(
-            f"time in {path} does not increase at {place(row)}: "
+            f"time in {path} does not increase at {row_name(row)}: "
             f"{time[row]:g} s after {time[row - 1]:g} s"
             + ('; where time stamps are too coarse, write rate = "100 Hz"' if coarse else "")
         )
@@ -129,7 +129,7 @@ def check_increasing(table: Table, time: Array) -> None:
     if steps[shortest] < SHORTEST:
         raise RecordError(
             f"time in {path} increases by {steps[shortest]:.2g} s at "
-            f"{place(shortest + 1)}; expected {SHORTEST:g} s or more"
+            f"{row_name(shortest + 1)}; expected {SHORTEST:g} s or more"
         )
 
 
@@ -166,16 +166,16 @@ def parse_window(text: str, *, of: str = "", timed: bool = True) -> tuple[float,
 
     Where samples are numbered, those of ``"0 to 300"``.
     """
-    parts, of = text.split(" to "), of or "a window"
+    bounds, of = text.split(" to "), of or "a window"
     numbered = re.fullmatch(r"\s*(\d{1,9}) to (\d{1,9})\s*", text)
     if not timed and numbered is None:
         raise UnitError(f"{of} must be two numbers of samples such as '0 to 300', got {text!r}")
-    if len(parts) != 2:
+    if len(bounds) != 2:
         raise UnitError(f"{of} must be two times such as '0 s to 60 s', got {text!r}")
     if numbered and not timed:
         start, end = float(numbered[1]), float(numbered[2])
     else:
-        start, end = (parse_quantity(part, "time", of=of) for part in parts)
+        start, end = (parse_quantity(bound, "time", of=of) for bound in bounds)
     if not start < end:
         raise UnitError(f"{of} must end after it starts, got {text!r}")
     return start, end
@@ -184,27 +184,27 @@ def parse_window(text: str, *, of: str = "", timed: bool = True) -> tuple[float,
 MOST_SAMPLES = 6000  # most samples of a trace at the default rate
 
 
-def decimate(values: Array, share: Fraction, first: int, last: int) -> Array:
-    """Signal, (N,), from sample `first` to `last` at a lower rate, without delay.
+def decimate(values: Array, share: Fraction, start: int, end: int) -> Array:
+    """Signal, (N,), from sample `start` to `end` at a lower rate, without delay.
 
     `share` is the new rate over the old. A symmetric low-pass filter, flat to 0.7 of the new
-    Nyquist frequency and at least 40 dB down above it. It also uses the samples before `first` and
-    after `last`, and beyond the ends of the signal its point reflection, which keeps value and
+    Nyquist frequency and at least 40 dB down above it. It also uses the samples before `start` and
+    after `end`, and beyond the ends of the signal its point reflection, which keeps value and
     slope there.
     """
     from scipy.signal import firwin, resample_poly
 
-    up, down = share.numerator, share.denominator
+    numerator, denominator = share.numerator, share.denominator
     # The filter reaches over ten new samples; the padding is a whole number of new samples.
-    blocks = -(-10 // up)
-    pad = blocks * down
+    blocks = -(-10 // numerator)
+    pad = blocks * denominator
     padded = np.pad(values, pad, mode="reflect", reflect_type="odd")
-    taps = firwin(20 * down + 1, 0.84 / down, window=("kaiser", 5.0))
+    taps = firwin(20 * denominator + 1, 0.84 / denominator, window=("kaiser", 5.0))
     window: Any = taps  # scipy's documentation allows taps here, its type stubs do not
-    piece = padded[first : last + 2 * pad + 1]
-    fine = resample_poly(piece, up, down, window=window, padtype="line")
-    count = (last - first) * up // down + 1
-    return np.asarray(fine[blocks * up :][:count], dtype=np.float64)
+    piece = padded[start : end + 2 * pad + 1]
+    fine = resample_poly(piece, numerator, denominator, window=window, padtype="line")
+    count = (end - start) * numerator // denominator + 1
+    return np.asarray(fine[blocks * numerator :][:count], dtype=np.float64)
 
 
 def default_rate(
@@ -225,8 +225,8 @@ def default_rate(
     needs = [20 / float(np.quantile(crossings, 0.25))] if crossings else []
     if turns.size > 1:
         needs.append(40 / float(np.median(np.diff(time[turns]))))
-    needed = max(needs, default=record_rate)
-    divisor = max(1, int(record_rate / needed * (1 + 1e-9)))
+    target_rate = max(needs, default=record_rate)
+    divisor = max(1, int(record_rate / target_rate * (1 + 1e-9)))
     return record_rate / max(divisor, ceil(time.size / MOST_SAMPLES))
 
 
@@ -236,12 +236,12 @@ def crossing_times(
     """Times, s, from each turning point to a distance `gap` from it, if reached before the next."""
     times = []
     for start, end in zip(turns, [*turns[1:], time.size - 1], strict=False):  # there may be none
-        away = np.abs(displacement[start : end + 1] - displacement[start])
-        reached = int(np.argmax(away >= gap))
-        if away[reached] >= gap and reached > 0:
-            part = (gap - away[reached - 1]) / (away[reached] - away[reached - 1])
-            at = start + reached
-            times.append(float(time[at - 1] + part * (time[at] - time[at - 1]) - time[start]))
+        distance = np.abs(displacement[start : end + 1] - displacement[start])
+        reached = int(np.argmax(distance >= gap))
+        if distance[reached] >= gap and reached > 0:
+            share = (gap - distance[reached - 1]) / (distance[reached] - distance[reached - 1])
+            k = start + reached
+            times.append(float(time[k - 1] + share * (time[k] - time[k - 1]) - time[start]))
     return times
 
 
@@ -254,8 +254,8 @@ def unit_of(
 ) -> str:
     """Unit of a column: as given, or from its name, or from the file's row of units."""
     word = axes.name(role)
-    if given := units.get(role):
-        return given
+    if unit := units.get(role):
+        return unit
     ours, theirs = header_unit(name), table.units.get(name)
     if theirs is None:
         if ours is None:
@@ -351,8 +351,8 @@ class Source:
                 "'rad', or a length with measured_at, the radius at which it was measured"
             )
         scale = factor(f"{unit}/{length}", role, of=f"{of} over its arm")
-        parts = [part.strip() for part in unit.replace("·", "*").split("*")]  # "kN" of "kN*m"
-        return self.sign * scale / arm, next((p for p in parts if measure(p) == "force"), "kip")
+        terms = [term.strip() for term in unit.replace("·", "*").split("*")]  # "kN" of "kN*m"
+        return self.sign * scale / arm, next((p for p in terms if measure(p) == "force"), "kip")
 
 
 NO_ACTUATION = "100 %"
@@ -390,13 +390,17 @@ def _take_off(
     """Signal of a role, internal units, less all that its source takes off."""
     signal, of = signals[role], f"the {role} of {table.path}"
     if source.minus is not None:
-        other, minus = source.minus, f"minus of {role}"
-        name = table.name_of(other.column)
-        unit = unit_of(table, minus, name, {} if other.unit is None else {minus: other.unit})
+        subtrahend, minus = source.minus, f"minus of {role}"
+        name = table.name_of(subtrahend.column)
+        unit = unit_of(
+            table, minus, name, {} if subtrahend.unit is None else {minus: subtrahend.unit}
+        )
         column = f"column {name!r} of {table.path}"
-        if other.times:
-            value, by = split_quantity(other.times, of=f"times of {column}")
-            scale = axes.factor(f"{unit}*{by}", role, of=f"{column} times {other.times}")
+        if subtrahend.times:
+            value, times_unit = split_quantity(subtrahend.times, of=f"times of {column}")
+            scale = axes.factor(
+                f"{unit}*{times_unit}", role, of=f"{column} times {subtrahend.times}"
+            )
             signal = signal - raw[name] * value * scale
         else:
             signal = signal - raw[name] * axes.factor(unit, role, of=column)
@@ -410,10 +414,10 @@ def _take_off(
         signal = signal - mass * acceleration(signals["time"], signals["displacement"])
     if " to " in source.tare:
         start, end = parse_window(source.tare, timed=axes.timed)
-        inside = (signals["time"] >= start) & (signals["time"] <= end)
-        if not inside.any():
+        in_window = (signals["time"] >= start) & (signals["time"] <= end)
+        if not in_window.any():
             raise RecordError(f"tare of {of}: no sample lies in {source.tare}")
-        signal = signal - float(np.mean(signal[inside]))
+        signal = signal - float(np.mean(signal[in_window]))
     elif source.tare:
         number, unit = split_quantity(source.tare, of=f"tare of {of}")
         try:  # what the column reads at zero, or what the signal does
@@ -437,13 +441,13 @@ def acceleration(time: Array, displacement: Array) -> Array:
         if piece.size < SAMPLES:
             continue
         t, x = time[piece], displacement[piece]
-        even = np.linspace(t[0], t[-1], t.size)
+        grid = np.linspace(t[0], t[-1], t.size)
         turns = turning_points(x, smallest_turn(x))
         half = float(np.median(np.diff(turns))) if turns.size > 1 else float(t.size)
         window = min(max(2 * int(0.5 * SHARE * half) + 1, 5), t.size - 1 + t.size % 2)
-        smooth = np.interp(even, t, x)
-        smooth = savgol_filter(smooth, window, 3, deriv=2, delta=even[1] - even[0])
-        result[piece] = np.interp(t, even, smooth)
+        smooth = np.interp(grid, t, x)
+        smooth = savgol_filter(smooth, window, 3, deriv=2, delta=grid[1] - grid[0])
+        result[piece] = np.interp(t, grid, smooth)
     return result
 
 
@@ -469,50 +473,50 @@ def sources_of(
     for name, mapping in (("columns", columns), ("units", units)):
         if mapping is not None and not isinstance(mapping, Mapping):
             raise RecordError(f"{name} must be a mapping from roles, got {type(mapping).__name__}")
-    given = {
+    requested = {
         axes.role(r): c if isinstance(c, Source) else Source(c) for r, c in (columns or {}).items()
     }
-    stated = {r: s.unit for r, s in given.items() if s.unit is not None}
+    stated = {r: s.unit for r, s in requested.items() if s.unit is not None}
     stated |= {axes.role(r): unit for r, unit in (units or {}).items()}
     if not axes.timed:
-        given["time"] = NUMBERED
+        requested["time"] = NUMBERED
         stated.pop("time", None)
-    if unknown := next((role for role in (*given, *stated) if role not in ROLES), ""):
+    if unknown := next((role for role in (*requested, *stated) if role not in ROLES), ""):
         names = ", ".join(map(axes.name, ROLES))
         raise RecordError(f"unknown role {unknown!r} of a column; expected {names}")
-    roles = {r: table.name_of(s.column) for r, s in given.items() if s.column is not None}
-    chosen = bool({"time", "displacement"} & roles.keys())  # then what is not named is not used
-    rated = "time" in given and bool(given["time"].rate)
-    needed = ["displacement"] if rated else ["time", "displacement"]
-    optional = [] if chosen else ["force", "velocity", *["actuation"] * (actuation is None)]
-    for role in needed + optional:
+    roles = {r: table.name_of(s.column) for r, s in requested.items() if s.column is not None}
+    explicit = bool({"time", "displacement"} & roles.keys())  # then what is not named is not used
+    rated = "time" in requested and bool(requested["time"].rate)
+    required = ["displacement"] if rated else ["time", "displacement"]
+    optional = [] if explicit else ["force", "velocity", *["actuation"] * (actuation is None)]
+    for role in required + optional:
         if role not in roles:
             for name in table.called(axes.name(role)):
                 roles[role] = name
     if actuation is not None and "actuation" in roles:
         raise RecordError(f"actuation of {table.path} is given as {actuation!r} and as a column")
-    if missing := [role for role in needed if role not in roles]:
+    if missing := [role for role in required if role not in roles]:
         raise _no_column_for(missing[0], table, axes)
-    sources = {"time": given["time"]} if rated else {}
+    sources = {"time": requested["time"]} if rated else {}
     for role in (role for role in ROLES if role in roles):
-        name, source = roles[role], given.get(role, Source(roles[role]))
+        name, source = roles[role], requested.get(role, Source(roles[role]))
         sources[role] = replace(source, column=name, unit=unit_of(table, role, name, stated, axes))
     return sources
 
 
 def _no_column_for(role: str, table: Table, axes: Axes) -> RecordError:
     """Error for a role that no column of a table has."""
-    name, shown = axes.name(role), ", ".join(table.names[:20])
+    name, columns = axes.name(role), ", ".join(table.names[:20])
     if not table.headed:
         return RecordError(
-            f"{table.path} has no names, only {shown}: say in a campaign "
+            f"{table.path} has no names, only {columns}: say in a campaign "
             'which is which, as time = { column = 1, unit = "ms" }; mfd-bayes init guesses it'
         )
     examples = {"time": "time_s", "displacement": "displacement_mm"}
     example = examples.get(name, f"{name}_{axes.motion.unit}")
     rate = '; where it has none, give its rate: rate = "100 Hz"' if role == "time" else ""
     return RecordError(
-        f"no column for {name} in {table.path}, which has {shown}: rename it in the file, as "
+        f"no column for {name} in {table.path}, which has {columns}: rename it in the file, as "
         f"{example}, or name it in [columns] of a campaign, or in Python by columns{rate}"
     )
 
@@ -540,8 +544,8 @@ def signals_of(
         check_size(of, role, signals[role])
         if source.rate:
             name, unit = f"sample number at {source.rate}", "s"
-        if other := next((r for r, (taken, _) in columns.items() if taken == name), ""):
-            raise RecordError(f"column {name!r} of {table.path} is given for {other} and {role}")
+        if owner := next((r for r, (column, _) in columns.items() if column == name), ""):
+            raise RecordError(f"column {name!r} of {table.path} is given for {owner} and {role}")
         columns[role] = name, unit
     if not axes.timed:
         del columns["time"]
@@ -581,29 +585,33 @@ def part_for(table: Table, sources: Mapping[str, Source], window: tuple[float, f
     raw = table.values(used_columns(table, sources), sources["time"].dates)
     bad = np.any([np.isnan(column) for column in raw.values()], axis=0)
     time = _times(table, sources["time"], raw)
-    back = np.append(False, np.diff(time) <= 0.0)
-    inside = time[(time >= window[0]) & (time <= window[1])]
-    if not np.any(bad | back) or not inside.size or any(map(back.__getitem__, table.blocks)):
+    backward = np.append(False, np.diff(time) <= 0.0)
+    in_window = time[(time >= window[0]) & (time <= window[1])]
+    if (
+        not np.any(bad | backward)
+        or not in_window.size
+        or any(map(backward.__getitem__, table.blocks))
+    ):
         return table
-    bounds = np.unique([0, *np.flatnonzero(bad | back), *np.flatnonzero(bad) + 1, time.size])
+    bounds = np.unique([0, *np.flatnonzero(bad | backward), *np.flatnonzero(bad) + 1, time.size])
     pieces = [
-        (int(first), int(last))
-        for first, last in pairwise(bounds)
-        if time[first] <= inside.min() and time[last - 1] >= inside.max()
+        (int(start), int(end))
+        for start, end in pairwise(bounds)
+        if time[start] <= in_window.min() and time[end - 1] >= in_window.max()
     ]
     if len(pieces) != 1:
         return table
-    ((first, last),) = pieces
-    faults = {"cells that hold no numbers": bad, "times that go back": back}
-    where = " and ".join(
+    ((start, end),) = pieces
+    faults = {"cells that hold no numbers": bad, "times that go back": backward}
+    text = " and ".join(
         f"{words}, the first at {table.place(int(np.argmax(rows)))},"
         for words, rows in faults.items()
         if np.any(rows)
     )
     return table.part(
-        first,
-        last,
-        f"{where} lie outside the window: {table.place(first)} to {table.place(last - 1)} are read",
+        start,
+        end,
+        f"{text} lie outside the window: {table.place(start)} to {table.place(end - 1)} are read",
     )
 
 
@@ -702,9 +710,9 @@ class Record:
             since = real_number("since, in s,", since, RecordError)
         if self.window is None:
             return (), ()
-        before = (self.time > since) & (self.time < trace.time[0])
-        parts = (self.displacement[before], self.displacement[self.time > trace.time[-1]])
-        ends = [x[[0, *_turns(x), -1]].tolist() if x.size else [] for x in parts]
+        preceding = (self.time > since) & (self.time < trace.time[0])
+        pieces = (self.displacement[preceding], self.displacement[self.time > trace.time[-1]])
+        ends = [x[[0, *_turns(x), -1]].tolist() if x.size else [] for x in pieces]
         return tuple(ends[0]), tuple(ends[1])
 
     def trace(
@@ -723,9 +731,9 @@ class Record:
             Width of the device's gap: without a rate, one that resolves it is taken.
         """
         if gap is not None:
-            gap = real_number("gap, in inches,", gap, RecordError, (0.0, math.inf), inside=True)
+            gap = real_number("gap, in inches,", gap, RecordError, (0.0, math.inf), exclusive=True)
         if rate is not None:
-            rate = real_number("rate, in Hz,", rate, RecordError, (0.0, math.inf), inside=True)
+            rate = real_number("rate, in Hz,", rate, RecordError, (0.0, math.inf), exclusive=True)
         cut = _slice(self, self.window if window is None else window)
         grid = self.time
         signals = {role: getattr(self, role) for role in ROLES if role != "time"}
@@ -740,13 +748,13 @@ class Record:
             grid = self.time[0] + np.arange(int(duration * self.rate) + 1) / self.rate
             signals = {role: np.interp(grid, self.time, v) for role, v in signals.items()}
         start, end = self.time[cut][[0, -1]]
-        first, last = np.flatnonzero((grid >= start) & (grid <= end))[[0, -1]].tolist()
+        begin, stop = np.flatnonzero((grid >= start) & (grid <= end))[[0, -1]].tolist()
         share = 1 / Fraction(min(self.rate / rate, 1e9)).limit_denominator(1000)
-        count = (last - first) * share.numerator // share.denominator + 1
+        count = (stop - begin) * share.numerator // share.denominator + 1
         if count < SAMPLES:
             raise RecordError(f"{rate:g} Hz leaves fewer than {SAMPLES} samples of {self.path}")
-        time = grid[first] + np.arange(count) / (float(share) * self.rate)
-        signals = {role: decimate(v, share, first, last) for role, v in signals.items()}
+        time = grid[begin] + np.arange(count) / (float(share) * self.rate)
+        signals = {role: decimate(v, share, begin, stop) for role, v in signals.items()}
         return self._as_trace(time, signals)
 
     def _as_trace(self, time: Array, signals: dict[str, Array]) -> Trace:
@@ -848,13 +856,13 @@ def read_record(
         doubts=table.doubts,
         axes=axes,
     )
-    displacement = mended(record.displacement[_slice(record, window)])
-    where = f"{path}" + (" in the window" if window else "")
+    displacement = despiked(record.displacement[_slice(record, window)])
+    location = f"{path}" + (" in the window" if window else "")
     if np.ptp(displacement) <= (STILL if axes.of_damper else 0.0):
-        raise RecordError(f"{axes.motion.name} in {where} is constant")
+        raise RecordError(f"{axes.motion.name} in {location} is constant")
     count = _turns(displacement).size
     if count < 2:
-        raise RecordError(f"motion in {where} has {count} turning points; at least 2 are needed")
+        raise RecordError(f"motion in {location} has {count} turning points; at least 2 are needed")
     return record
 
 
@@ -862,7 +870,7 @@ _NOT_MEASURED = re.compile(r"command|cmd|setpoint|target|ref|reference|desired|e
 
 
 def _rivals(
-    table: Table, others: Sequence[str], columns: Mapping[str, tuple[str, str]]
+    table: Table, names: Sequence[str], columns: Mapping[str, tuple[str, str]]
 ) -> dict[str, tuple[str, Array]]:
     """Columns that could have a role by their unit: name to role and numbers, internal units.
 
@@ -870,7 +878,7 @@ def _rivals(
     """
     rivals: dict[str, tuple[str, Array]] = {}
     kinds = {"time": "time", "length": "displacement", "force": "force"}
-    for name in others:
+    for name in names:
         unit = stated_unit(name, table.units.get(name, "")) or header_unit(name) or ""
         role = kinds.get(measure(unit) or "")
         if role is None and "time" in columns and _same_name(name, columns["time"][0]):
@@ -887,9 +895,9 @@ def _rivals(
     return rivals
 
 
-def _same_name(name: str, other: str) -> bool:
+def _same_name(name: str, reference: str) -> bool:
     """Whether two columns have one name but for numbers and what is in brackets."""
-    bare = [re.sub(r"[\[(].*?[\])]|[\d\W_]+", "", own_name(n)).lower() for n in (name, other)]
+    bare = [re.sub(r"[\[(].*?[\])]|[\d\W_]+", "", own_name(n)).lower() for n in (name, reference)]
     return bare[0] == bare[1] != ""
 
 
@@ -898,17 +906,17 @@ def _slice(record: Record, window: Window | None) -> slice:
     if window is None:
         return slice(0, record.time.size)
     start, end = checked_window(window)
-    first = int(np.searchsorted(record.time, start, side="left"))
-    last = int(np.searchsorted(record.time, end, side="right"))
-    if not last - first >= SAMPLES:
+    begin = int(np.searchsorted(record.time, start, side="left"))
+    stop = int(np.searchsorted(record.time, end, side="right"))
+    if not stop - begin >= SAMPLES:
         unit = " s" if record.axes.timed else ""
         raise RecordError(
-            f"window {start:g}{unit} to {end:g}{unit} holds {max(last - first, 0)} samples of "
+            f"window {start:g}{unit} to {end:g}{unit} holds {max(stop - begin, 0)} samples of "
             f"{record.path}, which runs from {record.time[0]:g}{unit} to "
             f"{record.time[-1]:g}{unit}; "
             f"at least {SAMPLES} are needed"
         )
-    return slice(first, last)
+    return slice(begin, stop)
 
 
 def _turns(displacement: Array) -> NDArray[np.intp]:

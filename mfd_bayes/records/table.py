@@ -118,9 +118,9 @@ CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 
 def tells(word: str) -> bool:
     """Whether a word of a heading names a motion, a force or such, or is or has a unit."""
-    parts = re.findall(r"[a-z]+", CAMEL.sub(" ", word).lower())
-    is_name = any(part in scores for scores in ROLE_WORDS.values() for part in parts)
-    is_name = is_name or any(part.startswith("acc") for part in parts)
+    tokens = re.findall(r"[a-z]+", CAMEL.sub(" ", word).lower())
+    is_name = any(token in scores for scores in ROLE_WORDS.values() for token in tokens)
+    is_name = is_name or any(token.startswith("acc") for token in tokens)
     return is_name or measure(header_unit(word) or bare_unit(word)) is not None
 
 
@@ -158,20 +158,20 @@ def stated_unit(name: str, row: str = "") -> str | None:
             return f"{text}{times[0]}"  # kN x10
         if measure(text) or not is_remark or any(len(w) > 1 and measure(w) for w in words):
             return text
-    last = re.search(r"(?:_|[\s,/:]+)([^\W\d_]{2,})\s*$", name)
-    return last[1] if last and last[1].lower() in UNREAD else None
+    tail = re.search(r"(?:_|[\s,/:]+)([^\W\d_]{2,})\s*$", name)
+    return tail[1] if tail and tail[1].lower() in UNREAD else None
 
 
 def parse(column: Column, decimal: str = ".") -> Array:
     """Numbers of a column, (T,), with this sign of decimals; NaN where there is none."""
     if isinstance(column, np.ndarray):
         return np.asarray(column.reshape(-1), dtype=np.float64)
-    other = "," if decimal == "." else "."
+    separator = "," if decimal == "." else "."
     values = np.full(len(column), np.nan)
     for row, cell in enumerate(column):
         if isinstance(cell, str):
             text = cell.strip()
-            if other in text or not NUMBER.fullmatch(text):
+            if separator in text or not NUMBER.fullmatch(text):
                 continue
             cell = float(text.replace("−", "-").replace(",", ".").upper().replace("D", "E"))
         if type(cell) in (int, float):
@@ -190,7 +190,7 @@ class Table:
     path: Path
     cells: Mapping[str, Column]  # by name, in the file's order
     rows: Sequence[int] = ()  # number of each row; without them, a row is a "sample"
-    where: tuple[str, str] = ("sample ", "")  # what stands before and after that number
+    affixes: tuple[str, str] = ("sample ", "")  # what stands before and after that number
     units: Mapping[str, str] = field(default_factory=dict)  # by column, where the file gives one
     numbers: Sequence[int] = ()  # of the columns, from 1; by default in their order
     headed: bool = True  # whether the file has names; without them, they are "column 1", …
@@ -218,8 +218,8 @@ class Table:
 
     def place(self, row: int) -> str:
         """Name of a row, from 0: "line 17"."""
-        before, after = self.where
-        return f"{before}{self.rows[row] if len(self.rows) else row + 1}{after}"
+        prefix, suffix = self.affixes
+        return f"{prefix}{self.rows[row] if len(self.rows) else row + 1}{suffix}"
 
     def columns(self, names: Sequence[str], dates: str = "") -> dict[str, Array]:
         """Columns by name, (T,) each, in the file's units; `dates` is the order in time stamps.
@@ -243,9 +243,11 @@ class Table:
         if len(self.rows):  # other columns of a sheet may go on below these
             size = max((_filled(column) for column in cells.values()), default=0)
             cells = {name: column[:size] for name, column in cells.items()}
-        plain = [name for name in names if name not in self.stamped]
-        read = [{n: parse(cells[n], sign) for n in plain} for sign in self.decimals]
-        values = max(read, key=lambda each: sum(np.isfinite(v).sum() for v in each.values()))
+        numeric = [name for name in names if name not in self.stamped]
+        read = [{n: parse(cells[n], sign) for n in numeric} for sign in self.decimals]
+        values = max(
+            read, key=lambda candidate: sum(np.isfinite(v).sum() for v in candidate.values())
+        )
         if values is not read[0]:
             self._check_comma()
         for name in self.stamped.intersection(names):
@@ -270,36 +272,36 @@ class Table:
 
     def _bad_cell(self, name: str, row: int, names: Sequence[str]) -> RecordError:
         """Error for a cell that holds no finite number: text, an empty cell, nan or infinity."""
-        cell = self.align({each: self.cells[each] for each in names})[name][row]
+        cell = self.align({key: self.cells[key] for key in names})[name][row]
         text = "" if cell is None else str(cell).strip()
-        shown = repr(text[:60]) if text else "an empty cell"
+        label = repr(text[:60]) if text else "an empty cell"
         if not text and self.path.suffix.lower() == ".xlsx":
-            shown += ", or a formula without a stored value: save it in Excel"
+            label += ", or a formula without a stored value: save it in Excel"
         if any(np.isfinite(parse([cell], sign)[0]) for sign in self.decimals):
-            shown += (
+            label += (
                 ", and others with the other sign: the file holds both points and commas; expected "
                 "one sign of decimals, and no thousands separators"
             )
         elif _GROUPED.fullmatch(text) and (len(self.decimals) == 1 or not NUMBER.fullmatch(text)):
-            shown += "; a number is written without a thousands separator"
+            label += "; a number is written without a thousands separator"
         elif is_stamp(text):
-            shown += ", which is a time stamp: expected a number, as in the first row"
+            label += ", which is a time stamp: expected a number, as in the first row"
         elif _OVERFLOW.fullmatch(text):
-            shown += ", an overflow of the logger: take such rows out"
+            label += ", an overflow of the logger: take such rows out"
         elif row == 0 and len(re.findall(r"\d+", text)) > 3:
-            shown += "; of a time, expected elapsed seconds, or such as 2024-03-05 10:00:00.250"
+            label += "; of a time, expected elapsed seconds, or such as 2024-03-05 10:00:00.250"
         return RecordError(
             f"{self.place(row)} of {self.path}, column {name!r}: expected a finite number, "
-            f"found {shown}"
+            f"found {label}"
         )
 
-    def part(self, first: int, last: int, doubt: str) -> Table:
-        """Table of rows `first` to before `last`; `doubt` says what is left out."""
+    def part(self, start: int, stop: int, doubt: str) -> Table:
+        """Table of rows `start` to before `stop`; `doubt` says what is left out."""
         return replace(
             self,
-            cells={name: column[first:last] for name, column in self.cells.items()},
-            rows=self.rows[first:last] if len(self.rows) else range(first + 1, last + 1),
-            blocks={row - first: at for row, at in self.blocks.items() if row > first},
+            cells={name: column[start:stop] for name, column in self.cells.items()},
+            rows=self.rows[start:stop] if len(self.rows) else range(start + 1, stop + 1),
+            blocks={row - start: heading for row, heading in self.blocks.items() if row > start},
             doubts=(*self.doubts, doubt),
         )
 
@@ -332,11 +334,11 @@ class Table:
 
     def no_column(self, name: str) -> RecordError:
         """Error for a name that no column, or more than one, has."""
-        shared = [self.number_of(other) for other in self.names if own_name(other) == name]
+        shared = [self.number_of(column) for column in self.names if own_name(column) == name]
         if len(shared) > 1:
-            which = " or ".join(f"{{ column = {number} }}" for number in shared)
+            choices = " or ".join(f"{{ column = {number} }}" for number in shared)
             return RecordError(
-                f"more than one column {name!r} in {self.path}: say which by its number, {which}"
+                f"more than one column {name!r} in {self.path}: say which by its number, {choices}"
             )
         how = "" if self.headed else "; it has no names: give { column = 1 } or another number"
         return RecordError(
@@ -367,10 +369,10 @@ def _filled(column: Column) -> int:
     return size
 
 
-def listed(names: Sequence[str], most: int = 4, written: Callable[[str], str] = repr) -> str:
+def listed(names: Sequence[str], limit: int = 4, written: Callable[[str], str] = repr) -> str:
     """The first names, and how many more there are."""
-    shown = ", ".join(map(written, names[:most]))
-    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+    text = ", ".join(map(written, names[:limit]))
+    return text if len(names) <= limit else f"{text} and {len(names) - limit} more"
 
 
 _NAMES = "jan feb mar apr may jun jul aug sep oct nov dec"
@@ -421,21 +423,21 @@ def elapsed(path: Path, name: str, cells: Sequence[object], dates: str = "") -> 
     matches = [_match(cell) for cell in cells]
     orders = [dates] if dates else ["day first", "month first"]
     read = [_seconds(matches, month_first=order == "month first") for order in orders]
-    most = max(np.isfinite(seconds).sum() for seconds in read)
-    read = [seconds for seconds in read if np.isfinite(seconds).sum() == most]
+    count = max(np.isfinite(seconds).sum() for seconds in read)
+    read = [seconds for seconds in read if np.isfinite(seconds).sum() == count]
     if len(read) == 1 or np.array_equal(read[0], read[1], equal_nan=True):
         return read[0]
-    even = []
+    regular = []
     for seconds in read:
         steps = np.diff(seconds[np.isfinite(seconds)])
         if not steps.size or (steps.min() >= 0.0 and steps.max() <= _GAP * np.median(steps)):
-            even.append(seconds)
-    if len(even) != 1:
+            regular.append(seconds)
+    if len(regular) != 1:
         raise RecordError(
             f"the dates of column {name!r} of {path}, such as {str(cells[-1]).strip()!r}, may have "
             'the day or the month first: write dates = "day first" or dates = "month first" for it'
         )
-    return even[0]
+    return regular[0]
 
 
 def _seconds(matches: Sequence[tuple[re.Match[str], str] | None], *, month_first: bool) -> Array:
@@ -446,23 +448,23 @@ def _seconds(matches: Sequence[tuple[re.Match[str], str] | None], *, month_first
     for row, match in enumerate(matches):
         if match is None or (day := days[match[1]]) is None:
             continue
-        part = match[0].groupdict()
-        hour, half = int(part["h"] or 0), part["half"]
-        twelve = twelve and part["h"] is not None and 1 <= hour <= 12 and not half
+        groups = match[0].groupdict()
+        hour, half = int(groups["h"] or 0), groups["half"]
+        twelve = twelve and groups["h"] is not None and 1 <= hour <= 12 and not half
         if half:
             hour = hour % 12 + 12 * (half[0] in "Pp")
-        minutes = 60 * hour + int(part["m"] or part["m2"])
-        seconds = 86_400 * day + 60 * minutes + int(part["s"] or part["s2"])
+        minutes = 60 * hour + int(groups["m"] or groups["m2"])
+        seconds = 86_400 * day + 60 * minutes + int(groups["s"] or groups["s2"])
         rows.append(row)
-        times.append(seconds * 10**9 + int((part["f"] or part["f2"] or "").ljust(9, "0")))
-    out = np.full(len(matches), np.nan)
+        times.append(seconds * 10**9 + int((groups["f"] or groups["f2"] or "").ljust(9, "0")))
+    values = np.full(len(matches), np.nan)
     if rows:
         total = np.array([time - times[0] for time in times], dtype=np.int64)
         if not any(days):  # clock times alone
             turn = _DAY // 2 if twelve else _DAY
             total += turn * np.concatenate([[0], np.cumsum(np.diff(total) < -turn // 2)])
-        out[rows] = total / 1e9
-    return out
+        values[rows] = total / 1e9
+    return values
 
 
 def _day(text: str, month_first: bool) -> int | None:
@@ -536,18 +538,18 @@ def find_table(rows: Sequence[Row], *, exact: bool = False) -> Layout | None:
     numbers = [k.count("n") for k in kind]
     filled = [len(k) - k.count("-") for k in kind]
     tables: list[Layout] = []
-    for at in range(len(rows) - 1):
-        if numbers[at] or filled[at] < 2 or any(map(_is_date, rows[at])):
+    for top in range(len(rows) - 1):
+        if numbers[top] or filled[top] < 2 or any(map(_is_date, rows[top])):
             continue
-        has_units = not numbers[at + 1] and gives_units(rows[at + 1], rows[at])
-        data = at + 1 + has_units
-        if has_units and at + 2 < len(rows) and filled[at + 2] and not numbers[at + 2]:
-            data += not any(map(is_stamp, rows[at + 2]))  # a third row: "Avg", "Smp"
+        has_units = not numbers[top + 1] and gives_units(rows[top + 1], rows[top])
+        data = top + 1 + has_units
+        if has_units and top + 2 < len(rows) and filled[top + 2] and not numbers[top + 2]:
+            data += not any(map(is_stamp, rows[top + 2]))  # a third row: "Avg", "Smp"
         end = numbers.index(0, data) if 0 in numbers[data:] else len(rows)
-        if end > data and (not exact or len(_cells(rows[at])) >= len(_cells(rows[data]))):
+        if end > data and (not exact or len(_cells(rows[top])) >= len(_cells(rows[data]))):
             count = sum(numbers[data:end])
             share = count / sum(filled[data:end])
-            tables.append(Layout(at, at + 1 if has_units else None, data, share, count))
+            tables.append(Layout(top, top + 1 if has_units else None, data, share, count))
     if tables:
         best = max(tables, key=lambda table: (table.weight, table.count))
         return next(t for t in tables if rows[t.names or 0] == rows[best.names or 0])
@@ -570,14 +572,14 @@ def _is_date(cell: Cell) -> bool:
 
 def gives_units(row: Row, names: Row) -> bool:
     """Whether a row holds two units or more below names, and at least as many units as words."""
-    under = [at for at, cell in enumerate(row) if cell not in (None, "")]
-    if any(at >= len(names) or names[at] in (None, "") for at in under):
+    filled = [k for k, cell in enumerate(row) if cell not in (None, "")]
+    if any(k >= len(names) or names[k] in (None, "") for k in filled):
         return False
     units = [unit for cell in row if isinstance(cell, str) and (unit := bare_unit(cell))]
     unread = sum(len(unit) > 1 and unit.lower() in UNREAD for unit in units)
     measures = ["acceleration" if _ACCELERATION.fullmatch(u) else measure(u) for u in units]
     telling = sum(of in _TELLING for of in measures) + unread
-    return telling >= 2 and 2 * (measures.count(None) - unread) <= len(under)
+    return telling >= 2 and 2 * (measures.count(None) - unread) <= len(filled)
 
 
 @dataclass(frozen=True)
@@ -594,41 +596,43 @@ class Grid:
         """Name of a row: "line 17"."""
         return f"{self.word} {self.numbers[row]}"
 
-    def refusal(self, what: str) -> RecordError:
+    def refusal(self, reason: str) -> RecordError:
         """Error for a grid that may hold more than one table."""
         of = f"{self.sheet} of {self.path}" if self.sheet else self.path
-        return RecordError(f"{of} holds more than one table: {what}: keep one table in a file")
+        return RecordError(f"{of} holds more than one table: {reason}: keep one table in a file")
 
     def table(
         self,
         layout: Layout,
         heading: tuple[Sequence[str], Row] | None = None,
         columns: Sequence[Column] | None = None,
-        **more: Any,
+        **extra: Any,
     ) -> Table:
-        """Table of a layout; `more` goes to the table.
+        """Table of a layout; `extra` goes to the table.
 
         `heading` are names and units that do not stand in the layout's rows; `columns` are all
         numbers, where nothing stands between them.
         """
         rows, data = self.rows, layout.data
-        first = rows[data] if data < len(rows) else ()
+        first_row = rows[data] if data < len(rows) else ()
         if heading is not None:
             names, units = heading
-            at = list(range(len(names)))
+            indices = list(range(len(names)))
         else:
             title: Row = () if layout.names is None else _cells(rows[layout.names])
             units = () if layout.units is None else rows[layout.units]
-            kind = kinds(first)
-            at = [
+            kind = kinds(first_row)
+            indices = [
                 k
                 for k in range(max(len(title), len(kind)))
                 if (k < len(title) and title[k] is not None)
                 or kind[k : k + 1] == "n"
                 or (not title and kind[k : k + 1] == "t")
             ]
-            texts = [" ".join(str(title[k] or "").split()) if k < len(title) else "" for k in at]
-            names = labels(texts, [k + 1 for k in at])
+            texts = [
+                " ".join(str(title[k] or "").split()) if k < len(title) else "" for k in indices
+            ]
+            names = labels(texts, [k + 1 for k in indices])
         headed = heading is not None or layout.names is not None
         notes = self._above(data, names, headed=headed)
         body: Sequence[int] = range(data, len(self.numbers))
@@ -638,17 +642,17 @@ class Grid:
             notes += footer
         blank = "" if self.word == "line" else None  # of a short row
         cells: dict[str, Column] = {}
-        given = {}
-        first = rows[body[0]] if len(body) else ()
-        for name, k in zip(names, at, strict=True):
+        column_units = {}
+        first_row = rows[body[0]] if len(body) else ()
+        for name, k in zip(names, indices, strict=True):
             if columns is None:
                 cells[name] = [rows[i][k] if k < len(rows[i]) else blank for i in body]
             else:
                 cells[name] = columns[k]
-            if k < len(first) and is_stamp(first[k]):
-                given[name] = "s"
+            if k < len(first_row) and is_stamp(first_row[k]):
+                column_units[name] = "s"
             elif k < len(units) and (unit := bare_unit(str(units[k] or ""))):
-                given[name] = unit
+                column_units[name] = unit
         head = tuple(
             " ".join(f"{c:g}" if isinstance(c, float) else str(c) for c in row if c is not None)
             for row in rows[:data]
@@ -658,12 +662,12 @@ class Grid:
             cells,
             [self.numbers[row] for row in body],
             (f"{self.word} ", f" of {self.sheet}" if self.sheet else ""),
-            given,
-            [k + 1 for k in at],
+            column_units,
+            [k + 1 for k in indices],
             headed,
             blocks,
             notes=tuple(notes),
-            **{**more, "head": more.get("head") or head},
+            **{**extra, "head": extra.get("head") or head},
         )
 
     def _body(self, layout: Layout, width: int) -> tuple[list[int], dict[int, str], list[str]]:
@@ -676,59 +680,61 @@ class Grid:
         rows, data = self.rows, layout.data
         names = None if layout.names is None else _cells(rows[layout.names])
         units = None if layout.units is None else _cells(rows[layout.units])
-        first = rows[data] if data < len(rows) else ()
-        numbers = (k for k, cell in enumerate(first) if kinds([cell]) == "n" or is_stamp(cell))
+        first_row = rows[data] if data < len(rows) else ()
+        numbers = (k for k, cell in enumerate(first_row) if kinds([cell]) == "n" or is_stamp(cell))
         column = next(numbers, 0)
-        words = [at for at in range(data, len(rows)) if _is_text(rows[at], column)]
+        words = [i for i in range(data, len(rows)) if _is_text(rows[i], column)]
         dropped: set[int] = set()
-        below: dict[int, str] = {}
+        headings: dict[int, str] = {}
         notes = []
         for _, pairs in groupby(enumerate(words), lambda pair: pair[1] - pair[0]):
-            group = [at for _, at in pairs]
+            group = [i for _, i in pairs]
             if _goes_on(rows, group[0], data) and not _STATISTIC.match(str(rows[group[0]][0])):
                 continue
-            texts, end = [_cells(rows[at]) for at in group], group[-1] + 1
+            texts, end = [_cells(rows[i]) for i in group], group[-1] + 1
             again = names in texts and texts[texts.index(names) + 1 :] in ([], [units])
             has_numbers = names not in texts and "n" in "".join(map(kinds, texts))
             if end == len(rows) and has_numbers and len(group) >= TABLE:
                 continue  # no footer: the `window` may leave them out
             if end == len(rows) or again:
                 dropped.update(group)
-                below[end] = self.place(group[0])
+                headings[end] = self.place(group[0])
             elif any(_shared(text, names) >= 2 for text in texts):
-                what = "has other units, or the names in another order"
-                raise self.refusal(f"the heading at {self.place(group[0])} {what}")
+                reason = "has other units, or the names in another order"
+                raise self.refusal(f"the heading at {self.place(group[0])} {reason}")
             if end == len(rows) and has_numbers:
                 notes = [f"{self.place(group[0])} and below: numbers below the table, not used"]
-        kept = [at for at in range(data, len(rows)) if at not in dropped]
-        while kept and len(rows[kept[-1]]) != width and "n" not in kinds(rows[kept[-1]]):
-            kept.pop()  # other text below the numbers
-        return kept, {n: below[at] for n, at in enumerate(kept) if at in below}, notes
+        body = [i for i in range(data, len(rows)) if i not in dropped]
+        while body and len(rows[body[-1]]) != width and "n" not in kinds(rows[body[-1]]):
+            body.pop()  # other text below the numbers
+        return body, {n: headings[i] for n, i in enumerate(body) if i in headings}, notes
 
     def _above(self, data: int, names: Row, *, headed: bool) -> list[str]:
         """Sentences on rows of numbers above a table, which are not used."""
         notes = []
         kind = [kinds(row) for row in self.rows[:data]]
-        for has_numbers, group in groupby(range(data), lambda at: kind[at].count("n") >= 2):
+        for has_numbers, group in groupby(range(data), lambda i: kind[i].count("n") >= 2):
             if not has_numbers:
                 continue
             members = list(group)
-            first, last = members[0], members[-1]
-            where = self.place(first)
-            if last > first:
-                where = f"{self.word}s {self.numbers[first]} to {self.numbers[last]}"
-            above = range(max(first - 2, 0), first)
-            titles = [self.rows[at] for at in above if len(kind[at].strip("-")) > 1]
-            bare = "t" not in "".join(kind[first : last + 1])
-            alike = len(members) > 2 and len(kind[first].rstrip("-")) == len(names)
+            top, bottom = members[0], members[-1]
+            location = self.place(top)
+            if bottom > top:
+                location = f"{self.word}s {self.numbers[top]} to {self.numbers[bottom]}"
+            preceding = range(max(top - 2, 0), top)
+            titles = [self.rows[i] for i in preceding if len(kind[i].strip("-")) > 1]
+            bare = "t" not in "".join(kind[top : bottom + 1])
+            alike = len(members) > 2 and len(kind[top].rstrip("-")) == len(names)
             if (
                 len(members) >= TABLE
                 or (bare and not titles and (alike or not headed))
                 or any(_shared(row, names) >= 2 for row in titles)
             ):
-                raise self.refusal(f"{where} hold numbers, and others begin at {self.place(data)}")
+                raise self.refusal(
+                    f"{location} hold numbers, and others begin at {self.place(data)}"
+                )
             if bare or len(members) > 2:
-                notes.append(f"{where}: numbers above the table, not used")
+                notes.append(f"{location}: numbers above the table, not used")
         return notes
 
 
@@ -754,11 +760,11 @@ def _is_word(cell: Cell) -> bool:
 _STATISTIC = re.compile(r"\s*(max|min|mean|avg|average|std|sum|total|count|peak|rms|mittel)", re.I)
 
 
-def _goes_on(rows: Sequence[Row], at: int, start: int) -> bool:
+def _goes_on(rows: Sequence[Row], index: int, start: int) -> bool:
     """Whether a column counts on into a row by the step of those above: it is a measurement."""
-    if at < start + STEPS:
+    if index < start + STEPS:
         return False
-    for column in zip(*rows[at - STEPS : at + 1], strict=False):
+    for column in zip(*rows[index - STEPS : index + 1], strict=False):
         steps = np.diff(parse([str(cell).replace(",", ".") for cell in column]))
         if np.all(np.isfinite(steps)) and 0.0 < steps.max() < 2.0 * steps.min():
             return True

@@ -58,26 +58,26 @@ class MotionPath:
 
 def motion_path(t: Array, x: Array, v: Array, hysteresis: float) -> MotionPath:
     """Path of a motion in s, in and in/s, (T,) each, with its turns above `hysteresis`, in."""
-    left, share, vertex = vertices(t, x, v)
-    turning = turning_points(np.insert(x, left + 1, vertex), hysteresis, last=True)
-    kept = np.isin(left + 1 + np.arange(left.size), turning)
-    left, share, vertex = left[kept], share[kept], vertex[kept]
-    at = left + 1
-    displacement = np.insert(x, at, vertex)
-    samples = np.arange(t.size) + np.searchsorted(at, np.arange(t.size), side="right")
-    turning = turning_points(displacement, hysteresis, last=True)
-    time = np.insert(t, at, t[left] + share * (t[left + 1] - t[left]))
+    index, share, vertex = vertices(t, x, v)
+    turning = turning_points(np.insert(x, index + 1, vertex), hysteresis, keep_last=True)
+    mask = np.isin(index + 1 + np.arange(index.size), turning)
+    index, share, vertex = index[mask], share[mask], vertex[mask]
+    position = index + 1
+    displacement = np.insert(x, position, vertex)
+    samples = np.arange(t.size) + np.searchsorted(position, np.arange(t.size), side="right")
+    turning = turning_points(displacement, hysteresis, keep_last=True)
+    time = np.insert(t, position, t[index] + share * (t[index + 1] - t[index]))
     step = np.diff(displacement, prepend=displacement[0])
     duration = np.diff(time, prepend=time[0] - 1.0)
     return MotionPath(
         time=time,
         displacement=displacement,
-        velocity=np.insert(v, at, 0.0),
+        velocity=np.insert(v, position, 0.0),
         step=step,
         rate=step / duration,
         turning_points=turning,
         direction=first_direction(displacement, turning),
-        nearest=np.insert(np.arange(t.size), at, np.where(share < 0.5, left, at)),
+        nearest=np.insert(np.arange(t.size), position, np.where(share < 0.5, index, position)),
         samples=samples,
         stretch=np.searchsorted(turning, samples),
     )
@@ -91,10 +91,10 @@ def vertices(t: Array, x: Array, v: Array) -> tuple[NDArray[np.intp], Array, Arr
     vertex. Only the two samples of a step are used, so a model that steps in time finds the same
     vertices.
     """
-    left = np.flatnonzero(v[:-1] * v[1:] < 0)
-    ends = (t[left + 1] - t[left], x[left], x[left + 1], v[left], v[left + 1])
+    index = np.flatnonzero(v[:-1] * v[1:] < 0)
+    ends = (t[index + 1] - t[index], x[index], x[index + 1], v[index], v[index + 1])
     share, vertex, regular = vertex_of_turn(*ends)
-    return left[regular], share[regular], vertex[regular]
+    return index[regular], share[regular], vertex[regular]
 
 
 def vertex_of_turn(
@@ -104,25 +104,25 @@ def vertex_of_turn(
 
     See `vertices`: dt in s, displacements in in and velocities in in/s at both samples of each.
     """
-    before, after = np.abs(v), np.abs(v_next)
-    share = before / (before + after)
+    speed, next_speed = np.abs(v), np.abs(v_next)
+    share = speed / (speed + next_speed)
     moved, sign = x_next - x, np.sign(v)
     from_left = sign * moved <= 0  # the extreme sample is the one before
-    beyond = 0.5 * dt * np.where(from_left, before * share, after * (1.0 - share))
-    vertex = np.where(from_left, x, x_next) + sign * beyond
+    overshoot = 0.5 * dt * np.where(from_left, speed * share, next_speed * (1.0 - share))
+    vertex = np.where(from_left, x, x_next) + sign * overshoot
     misfit = np.abs(moved - 0.5 * dt * (v + v_next))
-    regular = misfit <= SMOOTH * dt * (before + after)
+    regular = misfit <= SMOOTH * dt * (speed + next_speed)
     regular &= np.abs(share - 0.5) < 0.499
     return share, vertex, regular
 
 
 def turning_points(
-    displacement: Array, hysteresis: float | Array, *, last: bool = False
+    displacement: Array, hysteresis: float | Array, *, keep_last: bool = False
 ) -> NDArray[np.intp]:
     """Samples, (K,), at which the motion turns by more than `hysteresis`, in, without the ends.
 
     Alternating maxima and minima, from which the motion goes back by more than the hysteresis
-    there; of equal extremes the last. With `last`, the last turn counts however small it is.
+    there; of equal extremes the last. With `keep_last`, the last turn counts however small it is.
     """
     steps = np.diff(displacement)
     moving = np.flatnonzero(steps)
@@ -130,7 +130,7 @@ def turning_points(
     changes = moving[1:][signs[1:] != signs[:-1]]
     corners = np.concatenate([[0], changes, [displacement.size - 1]])
     values = displacement[corners]
-    least = np.broadcast_to(hysteresis, displacement.shape)[corners]
+    threshold = np.broadcast_to(hysteresis, displacement.shape)[corners]
     turns: list[int] = []
     low = high = 0
     direction = 0
@@ -140,16 +140,16 @@ def turning_points(
             high = i
         if value <= values[low]:
             low = i
-        if direction >= 0 and values[high] - value > least[high]:
+        if direction >= 0 and values[high] - value > threshold[high]:
             if direction > 0:
                 turns.append(int(corners[high]))
             direction, low, high = -1, i, i
-        elif direction <= 0 and value - values[low] > least[low]:
+        elif direction <= 0 and value - values[low] > threshold[low]:
             if direction < 0:
                 turns.append(int(corners[low]))
             direction, low, high = 1, i, i
     extreme = high if direction > 0 else low
-    if last and direction != 0 and values[extreme] != values[-1]:
+    if keep_last and direction != 0 and values[extreme] != values[-1]:
         turns.append(int(corners[extreme]))
     return np.array(turns, dtype=np.intp)
 
@@ -161,10 +161,10 @@ def cycle_turns(displacement: Array) -> NDArray[np.intp]:
     small ones is a cycle. So a turn counts where the motion goes back by more than the share
     `CYCLE` of the stroke near it: the range of the motion within half a cycle on both sides.
     """
-    whole = float(np.ptp(displacement))
-    noise = min(2.0 * NOISY * sensor_noise(displacement), 0.5 * whole)
+    extent = float(np.ptp(displacement))
+    noise = min(2.0 * NOISY * sensor_noise(displacement), 0.5 * extent)
     for share in (CYCLE, 0.5 * CYCLE, SMALLEST_CYCLE):  # a slow drift may be most of the range
-        turns = turning_points(displacement, max(share * whole, noise))
+        turns = turning_points(displacement, max(share * extent, noise))
         if turns.size >= 4:
             break
     if turns.size < 2:
@@ -174,7 +174,7 @@ def cycle_turns(displacement: Array) -> NDArray[np.intp]:
     near = 2 * int(np.ceil(1.2 * half)) + 1  # samples
     stroke = ndimage.maximum_filter1d(displacement, near)
     stroke -= ndimage.minimum_filter1d(displacement, near)
-    smallest = max(SMALLEST_CYCLE * whole, noise)
+    smallest = max(SMALLEST_CYCLE * extent, noise)
     return turning_points(displacement, np.maximum(smallest, CYCLE * stroke))
 
 
@@ -191,8 +191,8 @@ def sensor_noise(displacement: Array) -> float:
     of -0.8 from one to the next; of a smooth motion they hardly differ.
     """
     differences = np.diff(displacement, 4)
-    before, after = differences[:-1], differences[1:]
-    if not before @ after < -0.5 * float(differences @ differences):
+    leading, trailing = differences[:-1], differences[1:]
+    if not leading @ trailing < -0.5 * float(differences @ differences):
         return 0.0
     return float(np.median(np.abs(differences)) / 0.6745 / np.sqrt(70.0))
 
@@ -278,8 +278,10 @@ class Trace:
         if t.size < 3:
             raise RecordError(f"a trace needs at least 3 samples, got {t.size}")
         if not np.all(np.diff(t) > 0):
-            at = int(np.argmax(~(np.diff(t) > 0))) + 1
-            raise RecordError(f"time must increase; it does not at sample {at} (t = {t[at]:g} s)")
+            index = int(np.argmax(~(np.diff(t) > 0))) + 1
+            raise RecordError(
+                f"time must increase; it does not at sample {index} (t = {t[index]:g} s)"
+            )
         if velocity is not None:
             v = _column("velocity", velocity, t.size)
         else:
@@ -348,21 +350,21 @@ def _column(name: str, values: ArrayLike, size: int | None = None) -> Array:
     if size is not None and column.size != size:
         raise RecordError(f"{name} must have {size} samples as time has, got {column.size}")
     if not np.all(np.isfinite(column)):
-        at = int(np.argmax(~np.isfinite(column)))
+        index = int(np.argmax(~np.isfinite(column)))
         fill = "; fill it with 0 where it is not known, as after a given part"
         hint = fill if name == "force" else ""
-        raise RecordError(f"{name} must be finite; sample {at} is {column[at]}{hint}")
+        raise RecordError(f"{name} must be finite; sample {index} is {column[index]}{hint}")
     check_magnitude(name, column)
     column.flags.writeable = False
     return column
 
 
-def check_magnitude(name: str, values: Array, most: float = LARGEST) -> None:
+def check_magnitude(name: str, values: Array, limit: float = LARGEST) -> None:
     """Refuse numbers so large that their fourth power could overflow."""
-    large = np.flatnonzero(~(np.abs(values) <= most))
+    large = np.flatnonzero(~(np.abs(values) <= limit))
     if large.size:
         raise RecordError(
-            f"{name} holds numbers too large to use, beyond {most:g} in s, in, kip or ksi: the "
+            f"{name} holds numbers too large to use, beyond {limit:g} in s, in, kip or ksi: the "
             f"first at sample {large[0]}; where the logger overflowed, take such rows out"
         )
 
@@ -381,12 +383,12 @@ def check_size(name: str, role: str, values: Array) -> None:
 def _actuation(values: ArrayLike | None, size: int) -> float | Array:
     if values is None:
         return float("nan")
-    given = real_numbers("actuation", values)
-    history = _column("actuation", np.atleast_1d(given), size if given.ndim else None)
+    levels = real_numbers("actuation", values)
+    history = _column("actuation", np.atleast_1d(levels), size if levels.ndim else None)
     if np.any(history < 0):
-        at = int(np.argmax(history < 0))
-        raise RecordError(f"actuation must not be negative; sample {at} is {history[at]:g}")
-    return history if given.ndim else float(history[0])
+        index = int(np.argmax(history < 0))
+        raise RecordError(f"actuation must not be negative; sample {index} is {history[index]:g}")
+    return history if levels.ndim else float(history[0])
 
 
 Samples = NDArray[np.intp]
@@ -400,7 +402,7 @@ change, or that lasts for at most so many samples, is no measurement; nor is one
 last share of the samples have, so far from all others."""
 
 
-def runs(flags: NDArray[np.bool_]) -> tuple[Samples, Samples]:
+def run_lengths(flags: NDArray[np.bool_]) -> tuple[Samples, Samples]:
     """Sample before each run of flags, and the length of the run."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return (edges[::2] - 1).astype(np.intp), (edges[1::2] - edges[::2]).astype(np.intp)
@@ -409,30 +411,30 @@ def runs(flags: NDArray[np.bool_]) -> tuple[Samples, Samples]:
 def without_spikes(trace: Trace) -> Trace:
     """The trace with its spikes replaced by lines between their neighbours."""
     x, force = spikes_of(trace.displacement), trace.force
-    at = force_spikes(trace)
+    samples = force_spikes(trace)
     if x.size:
-        near = np.unique(np.clip(x[:, None] + np.arange(-1, 2), 0, trace.samples - 1))
+        neighbours = np.unique(np.clip(x[:, None] + np.arange(-1, 2), 0, trace.samples - 1))
         motion = (
             interpolated(trace.displacement, x),
             None,
             force,
-            interpolated(trace.velocity, near),
+            interpolated(trace.velocity, neighbours),
         )
         trace = replace(
             Trace.from_arrays(trace.time, *motion), actuation=trace.actuation, timed=trace.timed
         )
-    return replace(trace, force=interpolated(np.asarray(force), at)) if at.size else trace
+    return replace(trace, force=interpolated(np.asarray(force), samples)) if samples.size else trace
 
 
-def mended(values: Array) -> Array:
+def despiked(values: Array) -> Array:
     """A signal with lines in place of its spikes."""
-    at = spikes_of(values)
-    return interpolated(values, at) if at.size else values
+    samples = spikes_of(values)
+    return interpolated(values, samples) if samples.size else values
 
 
-def interpolated(values: Array, at: Samples) -> Array:
+def interpolated(values: Array, samples: Samples) -> Array:
     """A signal with lines in place of some samples."""
-    sound = np.delete(np.arange(values.size), at)
+    sound = np.delete(np.arange(values.size), samples)
     return np.asarray(np.interp(np.arange(values.size), sound, values[sound]))
 
 
@@ -446,43 +448,43 @@ def force_spikes(trace: Trace) -> Samples:
     """Spikes of the force, if any; where the motion turns, a force within its range is none."""
     if trace.force is None:
         return np.empty(0, dtype=np.intp)
-    at, steps = spikes_of(trace.force), np.diff(trace.displacement)
+    samples, steps = spikes_of(trace.force), np.diff(trace.displacement)
     turns = np.concatenate([[False], steps[1:] * steps[:-1] < 0.0, [False]])
-    low, high = np.quantile(np.delete(trace.force, at), [0.005, 0.995])
+    low, high = np.quantile(np.delete(trace.force, samples), [0.005, 0.995])
     explained = turns & (trace.force >= low) & (trace.force <= high)
-    return np.asarray(at[~explained[at]], dtype=np.intp)
+    return np.asarray(samples[~explained[samples]], dtype=np.intp)
 
 
 def _isolated(values: Array, width: int) -> Samples:
     """Samples that differ from both neighbours, while the neighbours agree."""
-    inside = np.lib.stride_tricks.sliding_window_view(values[1:-1], width)
-    if not inside.size:
+    windows = np.lib.stride_tricks.sliding_window_view(values[1:-1], width)
+    if not windows.size:
         return np.empty(0, dtype=np.intp)
     ends = np.stack([values[: -width - 1], values[width + 1 :]])
-    away = inside - ends[:, :, None]
-    height = np.maximum(away.min(axis=(0, 2)), -away.max(axis=(0, 2)))
+    distance = windows - ends[:, :, None]
+    height = np.maximum(distance.min(axis=(0, 2)), -distance.max(axis=(0, 2)))
     height = np.maximum(height, 0.0)
     agree = np.abs(ends[1] - ends[0]) < 0.25 * height
     tail = min(max(0.005, LONGEST / values.size), 0.25)  # in which spikes of a short record lie
     reach = float(np.subtract(*np.quantile(values, [1.0 - tail, tail])))
-    usual = float(np.quantile(height, 0.99))
+    typical = float(np.quantile(height, 0.99))
     share = SPIKE if width == 1 else 1.0  # a peak of the signal itself is wider
-    at = np.flatnonzero(agree & (height > share * reach) & (height > 4 * usual)) + 1
-    return np.unique(at[:, None] + np.arange(width)).astype(np.intp)
+    starts = np.flatnonzero(agree & (height > share * reach) & (height > 4 * typical)) + 1
+    return np.unique(starts[:, None] + np.arange(width)).astype(np.intp)
 
 
 def _over(values: Array) -> Samples:
     """Values of an overflow or a missing reading: far from all others, and reached in one step."""
     low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
-    away = np.abs(values - middle)
+    distance = np.abs(values - middle)
     spikes = [np.empty(0, dtype=np.intp)]
     if high > low:
-        for start, length in zip(*runs(away > OVERFLOW * (high - low)), strict=True):
-            at = np.arange(start + 1, start + 1 + length)
+        for start, length in zip(*run_lengths(distance > OVERFLOW * (high - low)), strict=True):
+            samples = np.arange(start + 1, start + 1 + length)
             ends = [n for n in (start, start + 1 + length) if 0 <= n < values.size]
-            sudden = all(away[n] < 0.5 * away[at].min() for n in ends)
-            if sudden and (length <= LONGEST or np.ptp(values[at]) == 0.0):
-                spikes.append(at)
+            sudden = all(distance[n] < 0.5 * distance[samples].min() for n in ends)
+            if sudden and (length <= LONGEST or np.ptp(values[samples]) == 0.0):
+                spikes.append(samples)
     for side in (values, -values):  # as far from all others as these from each other: 9999
         top = side == side.max()
         reach = np.ptp(side[~top]) if not top.all() else 0.0
@@ -522,14 +524,14 @@ class Harmonic:
         """The sampled motion at an actuation, ksi or kip; back at rest after whole half cycles."""
         step = 2.0 * np.pi / CYCLE_SAMPLES
         angle, half = step * np.arange(round(CYCLE_SAMPLES * self.cycles) + 1), CYCLE_SAMPLES // 2
-        into = step * np.arange(half)
-        x = np.concatenate([0.5 * (1.0 - np.cos(into)), np.cos(angle)])
-        v = np.concatenate([0.5 * np.sin(into), -np.sin(angle)])
+        ramp_up = step * np.arange(half)
+        x = np.concatenate([0.5 * (1.0 - np.cos(ramp_up)), np.cos(angle)])
+        v = np.concatenate([0.5 * np.sin(ramp_up), -np.sin(angle)])
         if (2.0 * self.cycles).is_integer():  # it ends at a turn
-            out = step * np.arange(1, half + 1)
-            last = 0.5 * round(np.cos(angle[-1]))
-            x = np.concatenate([x, last * (1.0 + np.cos(out))])
-            v = np.concatenate([v, -last * np.sin(out)])
+            ramp_down = step * np.arange(1, half + 1)
+            level = 0.5 * round(np.cos(angle[-1]))
+            x = np.concatenate([x, level * (1.0 + np.cos(ramp_down))])
+            v = np.concatenate([v, -level * np.sin(ramp_down)])
         if not self.timed:
             return Trace.from_arrays(None, self.amplitude * x, actuation)
         return Trace.from_arrays(
@@ -551,16 +553,16 @@ def parse_sine(text: str, axes: Axes = DAMPER) -> Harmonic:
     UnitError
         When it has not these three parts, or one is not above zero or too large.
     """
-    parts, form = [part.strip() for part in text.split(",")], _form(axes)
-    if len(parts) != (3 if axes.timed else 2):
+    terms, form = [term.strip() for term in text.split(",")], _form(axes)
+    if len(terms) != (3 if axes.timed else 2):
         raise UnitError(f"{form}, got {text!r}")
     if axes.motion == DAMPER.motion:
-        amplitude = parse_quantity(parts[0], "displacement", of="the amplitude")
+        amplitude = parse_quantity(terms[0], "displacement", of="the amplitude")
     else:
-        value, unit = split_quantity(parts[0], of="the amplitude", example=f"1 {axes.motion.unit}")
+        value, unit = split_quantity(terms[0], of="the amplitude", example=f"1 {axes.motion.unit}")
         amplitude = value * axes.factor(unit, "displacement", of="the amplitude")
-    frequency = parse_quantity(parts[1], "rate", of="the frequency") if axes.timed else 1.0
-    number, _, word = parts[-1].partition(" ")
+    frequency = parse_quantity(terms[1], "rate", of="the frequency") if axes.timed else 1.0
+    number, _, word = terms[-1].partition(" ")
     try:
         cycles = float(number)
     except ValueError:
@@ -579,5 +581,5 @@ def _form(axes: Axes) -> str:
     amplitude = f"1 {unit}" if unit != "1" else "2 %"
     if axes == DAMPER:
         return "a harmonic motion reads '1 in, 0.5 Hz, 3 cycles'"
-    parts = (amplitude, "0.5 Hz", "3 cycles") if axes.timed else (amplitude, "3 cycles")
-    return f"a harmonic motion of {axes.motion.name} reads '{', '.join(parts)}'"
+    terms = (amplitude, "0.5 Hz", "3 cycles") if axes.timed else (amplitude, "3 cycles")
+    return f"a harmonic motion of {axes.motion.name} reads '{', '.join(terms)}'"

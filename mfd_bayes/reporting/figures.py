@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mfd_bayes.errors import ReportError
-from mfd_bayes.evaluation.scores import Fan, Interval, Rows
+from mfd_bayes.evaluation.scores import Interval, QuantileBand, Rows
 from mfd_bayes.evaluation.views import INFORMED, Array, CampaignView, LawView, Marginal, TestView
 from mfd_bayes.population.design import SAME_LEVEL
 from mfd_bayes.records.data_quality import Fault
@@ -43,7 +43,7 @@ from mfd_bayes.reporting.symbols import (
     plain,
 )
 from mfd_bayes.runs.tested_range import conditions_of
-from mfd_bayes.runs.unit_system import US, System
+from mfd_bayes.runs.unit_system import US, UnitSystem
 from mfd_bayes.units import percent
 
 
@@ -130,14 +130,14 @@ def to_png(figure: Figure) -> bytes:
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()  # once: savefig would draw twice where there is a layout
     size = canvas.get_width_height()
-    drawn = Image.frombuffer("RGBA", size, canvas.buffer_rgba()).convert("RGB")
-    few = drawn.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    image = Image.frombuffer("RGBA", size, canvas.buffer_rgba()).convert("RGB")
+    quantized = image.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     packed = io.BytesIO()
-    few.save(packed, "png", compress_level=6)
+    quantized.save(packed, "png", compress_level=6)
     return packed.getvalue()
 
 
-def shades(fan: Fan) -> Iterator[tuple[Interval, str]]:
+def shades(fan: QuantileBand) -> Iterator[tuple[Interval, str]]:
     """Intervals of a fan, widest first, each with its colour."""
     wide, narrow, _ = BANDS[fan.kind]
     ordered = sorted(fan.intervals, key=lambda i: (not i.whole, -i.probability))
@@ -145,7 +145,7 @@ def shades(fan: Fan) -> Iterator[tuple[Interval, str]]:
         yield interval, wide if index == 0 else narrow
 
 
-def percents(fan: Fan) -> str:
+def percents(fan: QuantileBand) -> str:
     """Probabilities of a fan's intervals: "50 and 95 %"."""
     chances = sorted(i.probability for i in fan.intervals if not i.whole)
     pale = "; pale: of the whole history" if any(i.whole for i in fan.intervals) else ""
@@ -163,7 +163,9 @@ PANELS = 60
 _NOT_FITTED, _GIVEN = "#eeeeee", "#fff3d6"
 
 
-def in_units(system: System, trace: Trace, fans: Sequence[Fan]) -> tuple[Trace, list[Fan]]:
+def in_units(
+    system: UnitSystem, trace: Trace, fans: Sequence[QuantileBand]
+) -> tuple[Trace, list[QuantileBand]]:
     """A motion with its force, and bands of it, in the units of a system."""
     length, force = system.factor("in"), system.factor("kip")
     trace = replace(
@@ -180,21 +182,23 @@ def in_units(system: System, trace: Trace, fans: Sequence[Fan]) -> tuple[Trace, 
 def draw_loops(
     title: str,
     trace: Trace,
-    fans: Sequence[Fan] = (),
-    system: System = US,
+    fans: Sequence[QuantileBand] = (),
+    system: UnitSystem = US,
 ) -> Figure:
     """Force against displacement and against velocity, over bands, the widest fan first."""
     trace, fans = in_units(system, trace, fans)
     figure = new_figure(10, 4.3, title)
-    left, *others = figure.subplots(1, 2 if trace.timed else 1, sharey=True, squeeze=False)[0]
-    _draw_loop(left, fans, trace.displacement, trace.turning_points, trace.force)
-    left.set(xlabel=system.label("displacement", "in"), ylabel=system.label("force", "kip"))
-    left.set_title(system.text("Force–displacement"))
-    for right in others:
+    loop_axes, *velocity_axes = figure.subplots(
+        1, 2 if trace.timed else 1, sharey=True, squeeze=False
+    )[0]
+    _draw_loop(loop_axes, fans, trace.displacement, trace.turning_points, trace.force)
+    loop_axes.set(xlabel=system.label("displacement", "in"), ylabel=system.label("force", "kip"))
+    loop_axes.set_title(system.text("Force–displacement"))
+    for axes in velocity_axes:
         span = 0.02 * float(np.ptp(trace.velocity))  # smaller turns are noise
-        _draw_loop(right, fans, trace.velocity, turning_points(trace.velocity, span), trace.force)
-        right.set(xlabel=system.label("velocity", "in/s"), ylabel=system.label("force", "kip"))
-        right.set_title(system.text("Force–velocity"))
+        _draw_loop(axes, fans, trace.velocity, turning_points(trace.velocity, span), trace.force)
+        axes.set(xlabel=system.label("velocity", "in/s"), ylabel=system.label("force", "kip"))
+        axes.set_title(system.text("Force–velocity"))
     _legend(figure, fans, trace.force is not None)
     return figure
 
@@ -203,21 +207,21 @@ def draw_loops(
 def draw_history(
     title: str,
     trace: Trace,
-    fans: Sequence[Fan] = (),
-    system: System = US,
-    first: int = 0,
+    fans: Sequence[QuantileBand] = (),
+    system: UnitSystem = US,
+    start: int = 0,
     given: tuple[float, float] | None = None,
 ) -> Figure:
     """Displacement, force with bands, and residual against time.
 
     The residual is the force minus the first fan's median. There is none where the force is NaN at
     a sample. A long record has a second column with its strongest motion. Shaded: samples before
-    `first`, which were not fitted, and the times, s, between which the force was `given` to the
+    `start`, which were not fitted, and the times, s, between which the force was `given` to the
     prediction.
     """
     trace, fans = in_units(system, trace, fans)
-    whole = trace.force is not None and bool(np.all(np.isfinite(trace.force)))
-    rows = 3 if fans and whole else 2
+    is_complete = trace.force is not None and bool(np.all(np.isfinite(trace.force)))
+    rows = 3 if fans and is_complete else 2
     windows = _windows(trace)
     figure = new_figure(10, 2.6 + 0.9 * rows, title)
     shared: dict[str, Any] = {"sharex": "col", "sharey": "row", "squeeze": False}
@@ -236,8 +240,8 @@ def draw_history(
                 column[2].axhline(0.0, color=BANDS[fans[0].kind][2], linewidth=0.8)
         for axes in column:
             axes.set_xlim(time[0], time[-1])
-            if first > 0:
-                axes.axvspan(trace.time[0], trace.time[first], color=_NOT_FITTED, zorder=0)
+            if start > 0:
+                axes.axvspan(trace.time[0], trace.time[start], color=_NOT_FITTED, zorder=0)
             if given is not None:
                 axes.axvspan(*given, color=_GIVEN, zorder=0)
                 axes.axvline(given[1], color=DATA, lw=0.8, linestyle="--")
@@ -248,7 +252,7 @@ def draw_history(
     if len(windows) > 1:
         grid[0, 0].set_title("Whole record")
         grid[0, 1].set_title("Strongest motion")
-    shades = {"not fitted": _NOT_FITTED} if first > 0 else {}
+    shades = {"not fitted": _NOT_FITTED} if start > 0 else {}
     shades |= {"given to the prediction": _GIVEN} if given is not None else {}
     _legend(figure, fans, trace.force is not None, shades)
     return figure
@@ -258,7 +262,7 @@ def draw_history(
 def draw_overview(
     title: str,
     tests: Sequence[TestView],
-    system: System = US,
+    system: UnitSystem = US,
     actuation_unit: str = "ksi",
 ) -> Figure:
     """Loops of up to sixty tests over their bands: rows are frequencies, columns actuations.
@@ -266,15 +270,15 @@ def draw_overview(
     Where the grid would be mostly empty, as of earthquake records, the tests follow each other by
     actuation and frequency.
     """
-    shown = tests[:PANELS]
-    places, rows, columns = _places(shown, actuation_unit)
+    panel_tests = tests[:PANELS]
+    places, rows, columns = _places(panel_tests, actuation_unit)
     figure = new_figure(max(2.5 * columns, 6.0), 2.2 * rows + 0.7)
-    more = "" if len(tests) == len(shown) else f" (first {PANELS} of {len(tests)} tests)"
-    figure.suptitle(f"{plain(title)}{more}", x=0.01, ha="left")
+    suffix = "" if len(tests) == len(panel_tests) else f" (first {PANELS} of {len(tests)} tests)"
+    figure.suptitle(f"{plain(title)}{suffix}", x=0.01, ha="left")
     grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for axes in grid.flat:
         axes.set_visible(False)
-    for (row, column), test in zip(places, shown, strict=True):
+    for (row, column), test in zip(places, panel_tests, strict=True):
         axes = grid[row, column]
         axes.set_visible(True)
         _draw_panel(axes, test, system, system.actuation(test.trace, actuation_unit))
@@ -283,8 +287,8 @@ def draw_overview(
         if (row, column - 1) not in places:
             axes.set_ylabel(system.label("force", "kip"))
             axes.tick_params(labelleft=True)
-    if shown:
-        _legend(figure, [shown[0].observation], True)
+    if panel_tests:
+        _legend(figure, [panel_tests[0].observation], True)
     return figure
 
 
@@ -301,16 +305,16 @@ def _places(tests: Sequence[TestView], unit: str) -> tuple[list[tuple[int, int]]
     pairs = list(zip(frequencies, column.tolist(), strict=True))
     # several tests of one condition stand one below the other
     keys = [(f, pairs[:i].count((f, c))) for i, (f, c) in enumerate(pairs)]
-    rows = {key: at for at, key in enumerate(sorted(set(keys)))}
+    rows = {key: index for index, key in enumerate(sorted(set(keys)))}
     if len(rows) * len(steps) <= 2 * len(tests):
-        places = [(rows[key], at) for key, at in zip(keys, column.tolist(), strict=True)]
+        places = [(rows[key], index) for key, index in zip(keys, column.tolist(), strict=True)]
         return places, len(rows), len(steps)
     order = np.lexsort((np.array(frequencies), column)).argsort()
     wide = min(5, len(tests))
-    return [divmod(int(at), wide) for at in order], -(-len(tests) // wide), wide
+    return [divmod(int(index), wide) for index in order], -(-len(tests) // wide), wide
 
 
-def _draw_panel(axes: Axes, test: TestView, system: System, actuation: str) -> None:
+def _draw_panel(axes: Axes, test: TestView, system: UnitSystem, actuation: str) -> None:
     held_out = test.role == "validate"
     colour = VALIDATE if held_out else DATA
     trace, fans = in_units(system, test.trace, [test.observation])
@@ -325,17 +329,17 @@ def _draw_panel(axes: Axes, test: TestView, system: System, actuation: str) -> N
 
 def draw_band(
     axes: Any,
-    fan: Fan,
+    fan: QuantileBand,
     time: Array,
     displacement: Array | None,
-    system: System,
+    system: UnitSystem,
     force: Array | None = None,
 ) -> Axes:
     """Axes with a band in the units of a system over time, s, or over a displacement, in.
 
     Over it are its median, or a measured force. `axes` are None for those of a new figure.
     """
-    by, fan = system.factor("kip"), fan.times(system.factor("kip"))
+    factor, fan = system.factor("kip"), fan.times(system.factor("kip"))
     if axes is None:
         pyplot: Any = sys.modules.get("matplotlib.pyplot")  # its figures are shown in notebooks
         figure = new_figure(7, 4) if pyplot is None else pyplot.figure(figsize=(7, 4))
@@ -349,7 +353,7 @@ def draw_band(
     else:
         displacement = displacement * system.factor("in")
         turns = turning_points(displacement, HYSTERESIS * float(np.ptp(displacement)))
-        _draw_loop(axes, [fan], displacement, turns, None if force is None else force * by)
+        _draw_loop(axes, [fan], displacement, turns, None if force is None else force * factor)
         axes.set_xlabel(system.label("displacement", "in"))
     axes.set_ylabel(system.label("force", "kip"))
     axes.set_title(f"{BAND_NAMES[fan.kind]}, {percents(fan)}", fontsize=9)
@@ -369,7 +373,7 @@ def stretches(turns: NDArray[np.intp], samples: int) -> list[slice]:
 
 def _draw_loop(
     axes: Axes,
-    fans: Sequence[Fan],
+    fans: Sequence[QuantileBand],
     abscissa: Array,
     turns: NDArray[np.intp],
     force: Array | None = None,
@@ -382,11 +386,11 @@ def _draw_loop(
     for fan in fans:
         for interval, colour in shades(fan):
             outlines = []
-            for part in stretches(turns, abscissa.size):
-                pick = np.append(np.arange(part.start, part.stop, step), part.stop - 1)
-                forth = np.column_stack([abscissa[pick], interval.lower[pick]])
-                back = np.column_stack([abscissa[pick], interval.upper[pick]])
-                outlines.append(np.concatenate([forth, back[::-1]]))
+            for segment in stretches(turns, abscissa.size):
+                pick = np.append(np.arange(segment.start, segment.stop, step), segment.stop - 1)
+                lower_edge = np.column_stack([abscissa[pick], interval.lower[pick]])
+                upper_edge = np.column_stack([abscissa[pick], interval.upper[pick]])
+                outlines.append(np.concatenate([lower_edge, upper_edge[::-1]]))
             # the thin edge shows a narrow band where the force is steep
             bands = PolyCollection(outlines, facecolors=colour, edgecolors=colour, linewidths=0.8)
             axes.add_collection(bands)
@@ -404,18 +408,22 @@ def _windows(trace: Trace) -> list[slice]:
     if turns.size <= TURNS:
         return [slice(0, trace.samples)]
     largest = int(np.argmax(np.abs(trace.displacement)))
-    at = int(np.clip(np.searchsorted(turns, largest), 3, turns.size - 4))
-    return [slice(0, trace.samples), slice(int(turns[at - 3]), int(turns[at + 3]) + 1)]
+    index = int(np.clip(np.searchsorted(turns, largest), 3, turns.size - 4))
+    return [slice(0, trace.samples), slice(int(turns[index - 3]), int(turns[index + 3]) + 1)]
 
 
 def _draw_bands(
-    axes: Axes, time: Array, fan: Fan, at: slice = slice(None), base: Array | float = 0.0
+    axes: Axes,
+    time: Array,
+    fan: QuantileBand,
+    window: slice = slice(None),
+    base: Array | float = 0.0,
 ) -> None:
     """Fill the bands of a fan, less a base, (T,), over a window of time."""
     for interval, colour in shades(fan):
-        there, lower = thinned(time, (interval.lower - base)[at])
-        _, upper = thinned(time, (interval.upper - base)[at])
-        axes.fill_between(there, lower, upper, facecolor=colour, edgecolor=colour, lw=0.6)
+        times, lower = thinned(time, (interval.lower - base)[window])
+        _, upper = thinned(time, (interval.upper - base)[window])
+        axes.fill_between(times, lower, upper, facecolor=colour, edgecolor=colour, lw=0.6)
 
 
 def thinned(time: Array, values: Array) -> tuple[Array, Array]:
@@ -430,7 +438,7 @@ def thinned(time: Array, values: Array) -> tuple[Array, Array]:
 
 def _legend(
     figure: Figure,
-    fans: Sequence[Fan],
+    fans: Sequence[QuantileBand],
     measured: bool,
     shades: Mapping[str, str] | None = None,
 ) -> None:
@@ -453,7 +461,7 @@ _MARKS = 60  # more of one kind would hide the curve
 
 @style()
 def draw_inspection(
-    title: str, trace: Trace, faults: Sequence[Fault] = (), system: System = US
+    title: str, trace: Trace, faults: Sequence[Fault] = (), system: UnitSystem = US
 ) -> Figure:
     """Loop, displacement and force over time, and energy per cycle of a record at its own rate.
 
@@ -464,44 +472,56 @@ def draw_inspection(
     figure, x, time = new_figure(10, 5.6, title), trace.displacement, trace.time
     curves: list[tuple[Axes, Array, Array]]
     if trace.force is None:
-        place = figure.subplots()
-        curves = [(place, time, x)]
+        displacement_axes = figure.subplots()
+        curves = [(displacement_axes, time, x)]
     else:
         panels = figure.subplot_mosaic(
             [["loop", "displacement"], ["loop", "force"], ["energy", "force"]],
             width_ratios=(1.0, 1.35),
         )
-        loop, place, history = (panels[name] for name in ("loop", "displacement", "force"))
-        curves = [(loop, x, trace.force), (place, time, x), (history, time, trace.force)]
+        loop, displacement_axes, history = (
+            panels[name] for name in ("loop", "displacement", "force")
+        )
+        curves = [
+            (loop, x, trace.force),
+            (displacement_axes, time, x),
+            (history, time, trace.force),
+        ]
         step = max(1, trace.samples // (2 * POINTS))
         loop.plot(x[::step], trace.force[::step], color=DATA, linewidth=0.5)
         loop.set(xlabel=system.label("displacement", "in"), ylabel=system.label("force", "kip"))
         loop.set_title(system.text("Force–displacement"))
-        history.sharex(place)
+        history.sharex(displacement_axes)
         history.plot(*thinned(time, trace.force), color=DATA, linewidth=0.6)
         history.set(xlabel=clock(trace), ylabel=system.label("force", "kip"))
         history.set_title("Force")
         _draw_energy(panels["energy"], find_loops(trace), system)
     turns = trace.turning_points
-    place.plot(*thinned(time, x), color="#555555", linewidth=0.8)
-    place.plot(time[turns], x[turns], ".", color="#999999", markersize=3)
-    place.set(ylabel=system.label("displacement", "in"), xlabel=clock(trace))
-    place.set_title(f"Displacement, {turns.size} turning points")
-    place.margins(x=0.01, y=0.12)  # space for the marks at the turns
+    displacement_axes.plot(*thinned(time, x), color="#555555", linewidth=0.8)
+    displacement_axes.plot(time[turns], x[turns], ".", color="#999999", markersize=3)
+    displacement_axes.set(ylabel=system.label("displacement", "in"), xlabel=clock(trace))
+    displacement_axes.set_title(f"Displacement, {turns.size} turning points")
+    displacement_axes.margins(x=0.01, y=0.12)  # space for the marks at the turns
     looks, handles = zip(cycle(_SIGNS), cycle(_COLOURS), strict=False), []
     for fault in faults:  # one without samples has no mark
         sign, colour = next(looks) if fault.samples.size else ("", DATA)
-        at = fault.samples[:: max(1, -(-fault.samples.size // _MARKS))]
+        indices = fault.samples[:: max(1, -(-fault.samples.size // _MARKS))]
         mark: dict[str, Any] = {"marker": sign, "mfc": "none", "mec": colour, "mew": 1.1, "ms": 5}
-        for axes, across, up in curves:
-            axes.plot(across[at], up[at], ls="", label=f"warning: {fault.name}", **mark)
+        for axes, abscissae, ordinates in curves:
+            axes.plot(
+                abscissae[indices],
+                ordinates[indices],
+                ls="",
+                label=f"warning: {fault.name}",
+                **mark,
+            )
         handles.append(axes.lines[-1])
     if handles:
         figure.legend(handles=handles, loc="outside lower left", ncols=4)
     return figure
 
 
-def _draw_energy(axes: Axes, loops: Loops, system: System) -> None:
+def _draw_energy(axes: Axes, loops: Loops, system: UnitSystem) -> None:
     """Energy of each loop; loops of a ramp, with a shorter stroke, are hollow."""
     axes.set(xlabel="loop", ylabel=system.label("energy", "kip*in"))
     axes.set_title("Energy per full loop (hollow: shorter stroke)")
@@ -537,7 +557,7 @@ def _small_panels(title: str, number: int) -> tuple[Figure, list[Axes]]:
     figure.suptitle(title, x=0.01, y=1.0 - 0.08 / height, ha="left", va="top")
     edges = {"left": 0.065, "right": 0.985, "top": 1 - 0.55 / height, "bottom": 0.65 / height}
     figure.subplots_adjust(**edges, wspace=0.28, hspace=0.75)
-    panels = [figure.add_subplot(rows, columns, at + 1) for at in range(number)]
+    panels = [figure.add_subplot(rows, columns, index + 1) for index in range(number)]
     for axes in panels:
         axes.tick_params(labelsize=7)
     return figure, panels
@@ -551,14 +571,14 @@ def draw_ranks(
 
     The lines of chains that agree stay near 1. None where nothing was sampled in several chains.
     """
-    shown = [m for m in marginals if np.ptp(m.posterior) > 0]
-    if chains < 2 or not shown:
+    sampled = [m for m in marginals if np.ptp(m.posterior) > 0]
+    if chains < 2 or not sampled:
         return None
-    figure, panels = _small_panels(title, len(shown))
-    for axes, marginal in zip(panels, shown, strict=True):
+    figure, panels = _small_panels(title, len(sampled))
+    for axes, marginal in zip(panels, sampled, strict=True):
         ranks = marginal.posterior.argsort(kind="stable").argsort() / marginal.posterior.size
-        for chain, own in enumerate(np.array_split(ranks, chains)):
-            heights, edges = np.histogram(own, RANKS, (0.0, 1.0), density=True)
+        for chain, chain_ranks in enumerate(np.array_split(ranks, chains)):
+            heights, edges = np.histogram(chain_ranks, RANKS, (0.0, 1.0), density=True)
             axes.stairs(heights, edges, color=CHAINS[chain % len(CHAINS)])
         axes.axhline(1.0, color=DATA, linewidth=0.6)
         axes.set_title(symbols.in_figure(marginal.name), fontsize=8)
@@ -578,22 +598,22 @@ def draw_marginals(title: str, marginals: Sequence[Marginal], symbols: Symbols) 
     figure, panels = _small_panels(title, len(marginals))
     looks = ("#dddddd", PRIOR), (_BLUE, POSTERIOR)
     for axes, marginal in zip(panels, marginals, strict=True):
-        both = marginal.prior, marginal.posterior
+        samples = marginal.prior, marginal.posterior
         low, high = np.quantile(marginal.prior, [0.005, 0.995])
-        low, high = min(low, both[1].min()), max(high, both[1].max())
+        low, high = min(low, samples[1].min()), max(high, samples[1].max())
         # a uniform prior is wide too, but belongs on a linear axis
-        skewed = np.median(both[0]) - low < 0.5 * (high - np.median(both[0]))
-        logarithmic = bool(min(map(np.min, both)) > 0 and high > 20.0 * low and skewed)
-        for draws, (face, edge) in zip(both, looks, strict=True):
-            first, last = np.quantile(draws, [0.002, 0.998])
-            if last > first:
-                bins = (np.geomspace if logarithmic else np.linspace)(first, last, 31)
+        skewed = np.median(samples[0]) - low < 0.5 * (high - np.median(samples[0]))
+        logarithmic = bool(min(map(np.min, samples)) > 0 and high > 20.0 * low and skewed)
+        for draws, (face, edge) in zip(samples, looks, strict=True):
+            lowest, highest = np.quantile(draws, [0.002, 0.998])
+            if highest > lowest:
+                bins = (np.geomspace if logarithmic else np.linspace)(lowest, highest, 31)
                 heights = np.histogram(draws, bins)[0]
                 heights = heights / heights.max()
                 axes.stairs(heights, bins, fill=True, facecolor=face, alpha=0.75)
                 axes.stairs(heights, bins, color=edge, linewidth=0.9)
             else:
-                axes.axvline(first, color=edge)
+                axes.axvline(lowest, color=edge)
         if high > low:
             axes.set(xlim=(low, high), xscale="log" if logarithmic else "linear")
         axes.set(ylim=(0, 1.08), yticks=[])  # only relative heights matter
@@ -622,24 +642,26 @@ def draw_corner(
     drawn, the first ones of `names`; None where fewer than two have draws that vary.
     """
     by_name = {m.name: m for m in marginals}
-    chosen = [by_name[name] for name in names if name in by_name]
-    chosen = [m for m in chosen if np.ptp(m.posterior) > 1e-12 * np.max(np.abs(m.posterior))]
-    chosen = chosen[:CORNER_QUANTITIES]
-    if len(chosen) < 2 or len(chosen[0].posterior) <= CORNER_QUANTITIES:
+    quantities = [by_name[name] for name in names if name in by_name]
+    quantities = [
+        m for m in quantities if np.ptp(m.posterior) > 1e-12 * np.max(np.abs(m.posterior))
+    ]
+    quantities = quantities[:CORNER_QUANTITIES]
+    if len(quantities) < 2 or len(quantities[0].posterior) <= CORNER_QUANTITIES:
         return None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)  # of what corner imports
         from corner import corner
-    size = max(1.15 * len(chosen), 4.0)
+    size = max(1.15 * len(quantities), 4.0)
     figure = new_figure(size, size, layout="none")
-    stride = -(-len(chosen[0].posterior) // CORNER_DRAWS)
+    stride = -(-len(quantities[0].posterior) // CORNER_DRAWS)
     options: dict[str, Any] = {"plot_datapoints": False, "plot_density": False}
     corner(
-        np.column_stack([m.posterior[::stride] for m in chosen]),
+        np.column_stack([m.posterior[::stride] for m in quantities]),
         bins=16,
         smooth=0.8,
         color=POSTERIOR,
-        labels=[symbols.label(m.name, m.unit) for m in chosen],
+        labels=[symbols.label(m.name, m.unit) for m in quantities],
         label_kwargs={"fontsize": 8},
         labelpad=0.12,
         max_n_ticks=3,
@@ -659,31 +681,31 @@ def draw_corner(
 
 
 @style()
-def draw_residuals(title: str, test: TestView, system: System) -> Figure | None:
+def draw_residuals(title: str, test: TestView, system: UnitSystem) -> Figure | None:
     """Residuals of a test: by stage, along the gap, autocorrelation.
 
     None of a test that was not fitted.
     """
     if test.role == "validate":
         return None
-    kept = slice(test.first, None)
+    window = slice(test.first, None)
     trace, (observation,) = in_units(system, test.trace, [test.observation])
-    residual = (np.asarray(trace.force) - observation.median)[kept]
-    half = 0.5 * (observation.widest.upper - observation.widest.lower)[kept]
+    residual = (np.asarray(trace.force) - observation.median)[window]
+    half = 0.5 * (observation.widest.upper - observation.widest.lower)[window]
     figure = new_figure(10, 3.4, title)
-    left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 1.6, 1.3))
-    _draw_by_stage(left, residual, half, None if test.stage is None else test.stage[kept])
-    where, below = trace.displacement, "displacement"
+    stage_axes, travel_axes, lag_axes = figure.subplots(1, 3, width_ratios=(1.0, 1.6, 1.3))
+    _draw_by_stage(stage_axes, residual, half, None if test.stage is None else test.stage[window])
+    abscissa, label = trace.displacement, "displacement"
     if test.travel is not None:
-        where, below = test.travel * system.factor("in"), "travel since the last slip or turn"
-    _draw_along(middle, where[kept], residual, half)
-    middle.set_xlabel(system.label(below, "in"))
+        abscissa, label = test.travel * system.factor("in"), "travel since the last slip or turn"
+    _draw_along(travel_axes, abscissa[window], residual, half)
+    travel_axes.set_xlabel(system.label(label, "in"))
     lags, bound = min(60, len(residual) // 4), 1.96 / np.sqrt(len(residual))
-    right.axhspan(-bound, bound, color="#e6e6e6")
-    right.acorr(residual - residual.mean(), maxlags=lags - 1, color=BLUE, linewidth=1.0)
-    right.set(xlabel="lag, samples", xlim=(-1, lags))
-    right.set_title("Autocorrelation\n(grey: independent noise, 95 %)", fontsize=8)
-    for axes in (left, middle):
+    lag_axes.axhspan(-bound, bound, color="#e6e6e6")
+    lag_axes.acorr(residual - residual.mean(), maxlags=lags - 1, color=BLUE, linewidth=1.0)
+    lag_axes.set(xlabel="lag, samples", xlim=(-1, lags))
+    lag_axes.set_title("Autocorrelation\n(grey: independent noise, 95 %)", fontsize=8)
+    for axes in (stage_axes, travel_axes):
         axes.set_ylabel(system.label("residual", "kip"))
         axes.axhline(0.0, color="#888888", linewidth=0.7)
     return figure
@@ -692,10 +714,10 @@ def draw_residuals(title: str, test: TestView, system: System) -> Figure | None:
 def _draw_by_stage(axes: Axes, residual: Array, half: Array, stage: Any) -> None:
     """Boxes of the residual in each stage, with the mean half width of the 95 % band there."""
     stage = np.ones(residual.size) if stage is None else stage
-    parts = {name: stage == code for code, name in STAGES.items() if np.any(stage == code)}
+    masks = {name: stage == code for code, name in STAGES.items() if np.any(stage == code)}
     axes.boxplot(
-        [residual[there] for there in parts.values()],
-        tick_labels=[f"{name}\n{np.mean(there):.0%}" for name, there in parts.items()],
+        [residual[mask] for mask in masks.values()],
+        tick_labels=[f"{name}\n{np.mean(mask):.0%}" for name, mask in masks.items()],
         whis=(2.5, 97.5),
         showfliers=False,
         patch_artist=True,
@@ -703,20 +725,22 @@ def _draw_by_stage(axes: Axes, residual: Array, half: Array, stage: Any) -> None
         medianprops={"color": DATA},
         boxprops={"facecolor": _BLUE, "edgecolor": BLUE},
     )
-    for at, there in enumerate(parts.values(), start=1):
-        width = float(half[there].mean())
-        axes.hlines([-width, width], at - 0.4, at + 0.4, color=VERMILLION, linestyle="--")
+    for position, mask in enumerate(masks.values(), start=1):
+        width = float(half[mask].mean())
+        axes.hlines(
+            [-width, width], position - 0.4, position + 0.4, color=VERMILLION, linestyle="--"
+        )
     axes.set_title("By stage: box 50 %, whiskers 95 %\ndashed: 95 % band", fontsize=8)
 
 
-def _draw_along(axes: Axes, where: Array, residual: Array, half: Array) -> None:
+def _draw_along(axes: Axes, travel: Array, residual: Array, half: Array) -> None:
     """Residuals against travel, with the mean half width of the 95 % band in forty bins."""
-    step = max(1, len(where) // 3000)
-    axes.plot(where[::step], residual[::step], ".", color=DATA, markersize=1.6, alpha=0.6)
-    edges = np.unique(np.quantile(where, np.linspace(0, 1, 41)))
+    step = max(1, len(travel) // 3000)
+    axes.plot(travel[::step], residual[::step], ".", color=DATA, markersize=1.6, alpha=0.6)
+    edges = np.unique(np.quantile(travel, np.linspace(0, 1, 41)))
     if edges.size > 1:
-        sums = np.histogram(where, edges, weights=half)[0]
-        mean = sums / np.maximum(np.histogram(where, edges)[0], 1)
+        sums = np.histogram(travel, edges, weights=half)[0]
+        mean = sums / np.maximum(np.histogram(travel, edges)[0], 1)
         lines = np.column_stack([-mean, mean])
         axes.plot(0.5 * (edges[1:] + edges[:-1]), lines, color=VERMILLION, linestyle="--")
     axes.set_title("Along the gap", fontsize=8)
@@ -729,11 +753,11 @@ def draw_truth(title: str, rows: Rows, symbols: Symbols) -> Figure | None:
     Rows without a positive truth are left out, for nothing can be divided by it; None if no
     row remains.
     """
-    kept = [row for row in rows if row["truth"] > 0]
-    if not kept:
+    valid_rows = [row for row in rows if row["truth"] > 0]
+    if not valid_rows:
         return None
-    names = list(dict.fromkeys(row["name"] for row in kept))
-    figure = new_figure(9, 1.3 + 0.12 * (len(names) + 0.25 * len(kept)), title)
+    names = list(dict.fromkeys(row["name"] for row in valid_rows))
+    figure = new_figure(9, 1.3 + 0.12 * (len(names) + 0.25 * len(valid_rows)), title)
     axes = figure.subplots()
     kinds = {
         (True, True): (POSTERIOR, "o", 3, "interval holds the truth"),
@@ -743,12 +767,12 @@ def draw_truth(title: str, rows: Rows, symbols: Symbols) -> Figure | None:
     }
     reach, end, middles = 1.25, 0.0, []
     for number, name in enumerate(names):
-        own = [row for row in kept if row["name"] == name]
-        begin, end = end, end + 1.0 + 0.25 * len(own)
+        name_rows = [row for row in valid_rows if row["name"] == name]
+        begin, end = end, end + 1.0 + 0.25 * len(name_rows)
         middles.append(0.5 * (begin + end))
         if number % 2:
             axes.axhspan(begin, end, color="#f4f4f4", zorder=0)
-        for y, row in enumerate(own):
+        for y, row in enumerate(name_rows):
             colour, marker, size, _ = kinds[bool(row["informed"]), bool(row["inside"])]
             lower, median, upper = (row[k] / row["truth"] for k in ("lower", "median", "upper"))
             axes.plot([lower, upper], [begin + 0.625 + 0.25 * y] * 2, color=colour, lw=1.2)
@@ -767,8 +791,8 @@ def draw_truth(title: str, rows: Rows, symbols: Symbols) -> Figure | None:
     )
     axes.xaxis.set_major_formatter(_PLAIN)
     axes.set_xlabel("posterior ÷ truth (1 = truth), logarithmic; bars are 95 % intervals")
-    shown = [kind for kind in kinds.values() if kind[3]]
-    handles = [Line2D([], [], color=c, marker=m, ms=5, label=text) for c, m, _, text in shown]
+    legend = [kind for kind in kinds.values() if kind[3]]
+    handles = [Line2D([], [], color=c, marker=m, ms=5, label=text) for c, m, _, text in legend]
     figure.legend(handles=handles, loc="outside lower left", ncols=3)
     return figure
 
@@ -801,18 +825,18 @@ def draw_test(test: TestView, view: CampaignView) -> Iterator[tuple[str, Figure]
     names, system = Symbols(view.model), view.system
     title = f"{test.id}, {system.actuation(test.trace, view.actuation_unit)}"
     motion = title, test.trace, [f for f in (test.observation, test.device) if f is not None]
-    shown = [
-        Marginal(m.name, system.unit(m.unit), m.prior * by, m.posterior * by, m.contraction)
+    marginals = [
+        Marginal(m.name, system.unit(m.unit), m.prior * factor, m.posterior * factor, m.contraction)
         for m in test.marginals
-        for by in [system.factor(m.unit)]
+        for factor in [system.factor(m.unit)]
     ]
     figures = (
         draw_loops(*motion, system),
         draw_history(*motion, system, test.first),
         draw_residuals(f"{title}: residuals", test, system),
-        draw_marginals(f"{title}: priors and posteriors", shown, names),
-        draw_corner(f"{title}: joint posterior", shown, test.corner, names),
-        draw_ranks(f"{title}: ranks of each chain", shown, test.chains, names),
+        draw_marginals(f"{title}: priors and posteriors", marginals, names),
+        draw_corner(f"{title}: joint posterior", marginals, test.corner, names),
+        draw_ranks(f"{title}: ranks of each chain", marginals, test.chains, names),
     )
     for name, figure in zip(OF_TEST, figures, strict=True):
         if figure is not None:
@@ -821,7 +845,7 @@ def draw_test(test: TestView, view: CampaignView) -> Iterator[tuple[str, Figure]
 
 @style()
 def draw_laws(
-    title: str, laws: Sequence[LawView], system: System, actuation_unit: str, symbols: Symbols
+    title: str, laws: Sequence[LawView], system: UnitSystem, actuation_unit: str, symbols: Symbols
 ) -> Figure:
     """One panel per law: the mean property with its bands, and the tests' 95 % intervals."""
     columns = min(3, len(laws))
@@ -840,24 +864,30 @@ def draw_laws(
     return figure
 
 
-def _draw_law(axes: Axes, law: LawView, by: float, along: float) -> None:
+def _draw_law(axes: Axes, law: LawView, factor: float, actuation_factor: float) -> None:
     """A law in other units: its quantity times a factor, and its actuation times another."""
-    actuation, device, again = law.actuation * along, law.device.times(by), law.new_test.times(by)
+    actuation, device, again = (
+        law.actuation * actuation_factor,
+        law.device.times(factor),
+        law.new_test.times(factor),
+    )
     wide, _, dark = BANDS["new_test"]
     for fan, colour in ((again, wide), (device, _MEDIAN)):
         edges = fan.widest.lower, fan.widest.upper
         name = f"{BAND_NAMES[fan.kind]}, {percent(fan.widest.probability)} %"
         axes.fill_between(actuation, *edges, color=colour, linewidth=0, label=name)
     axes.plot(actuation, device.median, color=dark, label="best estimate")
-    shown = [device.median]
+    curves = [device.median]
     if law.tested:
-        at, *bounds = (np.array(part) for part in list(zip(*law.tested, strict=True))[1:])
-        lower, median, upper = (by * bound for bound in bounds)
+        levels, *bounds = (np.array(column) for column in list(zip(*law.tested, strict=True))[1:])
+        lower, median, upper = (factor * bound for bound in bounds)
         arms = np.maximum(0.0, [median - lower, upper - median])
         look_of: dict[str, Any] = {"fmt": "o", "color": DATA, "markersize": 3}
-        axes.errorbar(spread(at * along), median, arms, label="tests, 95 %", lw=0.9, **look_of)
-        shown += [lower, upper]
-    low, high = (float(end(np.concatenate(shown))) for end in (np.min, np.max))
+        axes.errorbar(
+            spread(levels * actuation_factor), median, arms, label="tests, 95 %", lw=0.9, **look_of
+        )
+        curves += [lower, upper]
+    low, high = (float(end(np.concatenate(curves))) for end in (np.min, np.max))
     low = min(low, float(np.min(again.widest.lower)))
     high = max(high, min(float(np.max(again.widest.upper)), 2.0 * high))  # it may go beyond
     margin = 0.05 * (high - low) or 0.1
@@ -876,7 +906,7 @@ def spread(actuation: Array) -> Array:
     room = 0.5 * float(np.min(np.diff(levels), initial=span))
     shifted = actuation.astype(np.float64)
     for level in levels:
-        same = np.flatnonzero(actuation == level)
-        step = min(0.012 * span, room / max(1, same.size - 1))
-        shifted[same] += step * (np.arange(same.size) - 0.5 * (same.size - 1))
+        indices = np.flatnonzero(actuation == level)
+        step = min(0.012 * span, room / max(1, indices.size - 1))
+        shifted[indices] += step * (np.arange(indices.size) - 0.5 * (indices.size - 1))
     return shifted

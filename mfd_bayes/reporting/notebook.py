@@ -13,22 +13,22 @@ from mfd_bayes.errors import ReportError, real_numbers
 if TYPE_CHECKING:
     from mfd_bayes.calibration.result import TestResult
     from mfd_bayes.population.bands import Band
-    from mfd_bayes.runs.unit_system import System
+    from mfd_bayes.runs.unit_system import UnitSystem
 
 
 @dataclass(frozen=True)
 class Notebook:
     """Pictures in the units of a system, and ArviZ data, of results."""
 
-    system: System
+    system: UnitSystem
 
     def plot_band(self, band: Band, axes: Any, displacement: Any) -> Any:
         """Axes with a band over time, or over a displacement, in."""
         from mfd_bayes.evaluation.scores import fan_of_band
         from mfd_bayes.reporting import figures
 
-        along = None if displacement is None else _along(band, displacement)
-        return figures.draw_band(axes, fan_of_band(band), band.time, along, self.system)
+        abscissa = None if displacement is None else _along(band, displacement)
+        return figures.draw_band(axes, fan_of_band(band), band.time, abscissa, self.system)
 
     def plot_loops(self, test: TestResult, axes: Any) -> Any:
         """Axes with the measured loops of a test over its replicated records."""
@@ -71,8 +71,8 @@ def _of_band(band: Band) -> dict[str, Any]:
     """Group of a prediction: its force draws in one chain."""
     import xarray as xr
 
-    about = {"units": "kip", "kind": band.kind, "source": band.source}
-    force = (("chain", "draw", "time"), band.draws[None], about)
+    attrs = {"units": "kip", "kind": band.kind, "source": band.source}
+    force = (("chain", "draw", "time"), band.draws[None], attrs)
     numbers = {"chain": [0], "draw": np.arange(len(band.draws)), "time": band.time}
     return {"predictions": xr.Dataset({"force": force}, coords=numbers)}
 
@@ -86,7 +86,7 @@ def _of_cycles(test: TestResult) -> Any:
     stored, posterior = test.stored, test.posterior
     shape = stored.stats["lp"].shape
     cycles = find_cycles(posterior.trace, posterior.first)
-    given = cycle_log_likelihood(posterior, stored.values(), cycles)[0]
-    values = (("chain", "draw", "cycle"), given.reshape(*shape, -1))
+    log_density = cycle_log_likelihood(posterior, stored.values(), cycles)[0]
+    values = (("chain", "draw", "cycle"), log_density.reshape(*shape, -1))
     numbers = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
     return xr.Dataset({"force": values}, coords=numbers)

@@ -30,9 +30,9 @@ from mfd_bayes.calibration.noises import NOISES
 from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.scores import width_sentence
 from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, Datasheet, TestView
-from mfd_bayes.jobs.job import State, Step
+from mfd_bayes.jobs.job import JobState, Step
 from mfd_bayes.jobs.local import several_processes
-from mfd_bayes.messages import Message, Quantity
+from mfd_bayes.messages import Measure, Message
 from mfd_bayes.reporting import symbols
 from mfd_bayes.reporting.options import ReportOptions
 from mfd_bayes.reporting.symbols import BANDS, DATA, SKY, Symbols
@@ -53,11 +53,11 @@ from mfd_bayes.reporting.tables import (
     to_latex,
     to_word,
 )
-from mfd_bayes.runs.unit_system import System
+from mfd_bayes.runs.unit_system import UnitSystem
 from mfd_bayes.store.files import write_bytes, write_text
 from mfd_bayes.units import DAMPER, in_digits
 
-Pair = tuple[System, System]
+Pair = tuple[UnitSystem, UnitSystem]
 """Customary and metric system of units."""
 
 ELSEWHERE = frozenset(
@@ -93,11 +93,11 @@ def picture(key: str, png: bytes, *, embedded: bool = True) -> dict[str, Any]:
     path = quote(f"{path}.png")
     uri = f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}" if embedded else path
     # width and height are in the first chunk of a PNG
-    width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
+    width, height = (int.from_bytes(png[offset : offset + 4], "big") for offset in (16, 20))
     return {"uri": uri, "width": width, "height": height, "png": path, "csv": quote(table)}
 
 
-def _factor_and_name(unit: str, system: System) -> tuple[float, str]:
+def _factor_and_name(unit: str, system: UnitSystem) -> tuple[float, str]:
     if unit.startswith(ACTUATION):
         return system.of_actuation(unit.removeprefix(ACTUATION))
     return system.factor(unit), symbols.unit_text(system.unit(unit))
@@ -109,28 +109,28 @@ class Units:
 
     The page begins with the second of its systems, customary and metric, where it is `metric`.
     `convert` gives factor and name of an internal unit in a system, `words` is how quantities are
-    written, and `used` has factor and name in each system of every unit on the page so far.
+    written, and `conversions` has factor and name in each system of every unit on the page so far.
     """
 
     systems: Pair
     metric: bool = False
-    convert: Callable[[str, System], tuple[float, str]] = _factor_and_name
+    convert: Callable[[str, UnitSystem], tuple[float, str]] = _factor_and_name
     words: symbols.Symbols = field(default_factory=symbols.Symbols)
-    used: dict[str, dict[str, tuple[float, str]]] = field(default_factory=dict)
+    conversions: dict[str, dict[str, tuple[float, str]]] = field(default_factory=dict)
 
     def _own(self, unit: str) -> tuple[float, str]:
         of = {system.name: self.convert(unit, system) for system in self.systems}
-        self.used[unit] = of
+        self.conversions[unit] = of
         return of[self.systems[self.metric].name]
 
     def number(self, value: float, unit: str, digits: int = 3, *, short: bool = False) -> Markup:
         """A number that is stored in an internal unit; a short one without zeros at its end."""
-        by, _ = self._own(unit)
-        text = symbols.number(value * by, digits)
+        factor, _ = self._own(unit)
+        text = symbols.number(value * factor, digits)
         if not math.isfinite(value):
             return Markup(escape(text))
         if short:
-            text = in_digits(value * by, digits).replace("-", "−")
+            text = in_digits(value * factor, digits).replace("-", "−")
         span = Markup('<span data-value="{:.7g}" data-unit="{}" data-digits="{}"{}>{}</span>')
         return span.format(value, unit, digits, Markup(" data-short" * short), text)
 
@@ -141,12 +141,16 @@ class Units:
 
     def values(self, values: Sequence[float], unit: str, digits: int = 3) -> Markup:
         """One value, or the ends of a range, with their unit: "500 to 1500 psi"."""
-        by, _ = self._own(unit)
+        factor, _ = self._own(unit)
         texts = {
-            in_digits(v * by, digits): self.number(v, unit, digits, short=True) for v in values
+            in_digits(v * factor, digits): self.number(v, unit, digits, short=True) for v in values
         }
-        shown = Markup(" to ").join(texts.values())
-        return Markup("{} {}").format(shown, self.name(unit)) if self._own(unit)[1] else shown
+        text_range = Markup(" to ").join(texts.values())
+        return (
+            Markup("{} {}").format(text_range, self.name(unit))
+            if self._own(unit)[1]
+            else text_range
+        )
 
     def line(self, line: Line, unit: str) -> Markup:
         """A line of a cell of a sheet."""
@@ -164,19 +168,19 @@ class Units:
         """A sentence with its quantities."""
         if isinstance(sentence, str):
             return self.words.sentence(sentence)
-        shown = {
+        texts = {
             name: self.values(value.values, value.unit, value.digits)
-            if isinstance(value, Quantity)
+            if isinstance(value, Measure)
             else self.words.sentence(value)
             for name, value in sentence.values.items()
         }
         template = self.systems[0].text(sentence.template)
-        return Markup(escape(template)).format(**shown)
+        return Markup(escape(template)).format(**texts)
 
     @property
     def table(self) -> Markup:
         """JSON for the script: factor and name of each unit in each system."""
-        return Markup(script_json(self.used))
+        return Markup(script_json(self.conversions))
 
 
 @dataclass(frozen=True)
@@ -215,14 +219,16 @@ def render(
         pages["datasheet.html"] = render_page("datasheet.html.j2", units(), view=view, **values)
     judged = {judgement.subject: judgement for judgement in view.judgements}
     for test in view.tests:
-        own = {key: png for key, png in images.items() if key.startswith(f"tests/{test.id}/")}
+        test_images = {
+            key: png for key, png in images.items() if key.startswith(f"tests/{test.id}/")
+        }
         pages[f"tests/{test.id}/page.html"] = render_page(
             "test.html.j2",
             units(),
             view=view,
             test=test,
             judged=judged.get(test.id),
-            pictures={key: picture(key, png, embedded=False) for key, png in own.items()},
+            pictures={key: picture(key, png, embedded=False) for key, png in test_images.items()},
         )
     return pages
 
@@ -240,8 +246,8 @@ def _summary(
     shares = {n: sum(s.get(n, 0.0) for s in explained) / len(explained) for n in sources}
     explorer = explore(view) if view.tests else None
     parameters, laws = paper_sheets(view, units.words)
-    own = set(view.model.parameters) - view.model.standard_names if view.model else set()
-    elsewhere = ELSEWHERE - own
+    custom_names = set(view.model.parameters) - view.model.standard_names if view.model else set()
+    elsewhere = ELSEWHERE - custom_names
     columns = [test for test in view.tests if test.rows]
     left_out = None
     if view.left_out:
@@ -294,13 +300,15 @@ def _datasheet(
 def render_page(template: str, units: Units, *scripts: str, **values: Any) -> str:
     """A page from its template; `scripts` are those that it may run besides the report's own."""
     script = files("mfd_bayes.reporting").joinpath("templates", "report.js").read_text("utf-8")
-    made = environment().get_template(template)
-    page = made.render(units=units, script=script, policy=policy_of(script, *scripts), **values)
+    compiled = environment().get_template(template)
+    page = compiled.render(units=units, script=script, policy=policy_of(script, *scripts), **values)
     axes = units.systems[0].axes
     if axes == DAMPER:
         return page
-    parts = _TEXT.split(page)  # what is between tags, but for scripts and styles
-    return "".join(axes.text(part) if at % 2 == 0 else part for at, part in enumerate(parts))
+    segments = _TEXT.split(page)  # what is between tags, but for scripts and styles
+    return "".join(
+        axes.text(segment) if index % 2 == 0 else segment for index, segment in enumerate(segments)
+    )
 
 
 _TEXT = re.compile(
@@ -321,7 +329,7 @@ def policy_of(*scripts: str) -> str:
 @cache
 def environment() -> Environment:
     """Environment of all templates, which are compiled once."""
-    made = Environment(
+    env = Environment(
         loader=PackageLoader("mfd_bayes.reporting"),
         autoescape=True,
         undefined=StrictUndefined,
@@ -329,13 +337,13 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters |= {
+    env.filters |= {
         "digits": symbols.number,
         "count": symbols.count,
         "percent": symbols.percent,
     }
-    made.tests["finite"] = math.isfinite
-    return made
+    env.tests["finite"] = math.isfinite
+    return env
 
 
 def _finalize(value: object) -> object:
@@ -369,7 +377,7 @@ def explore(view: CampaignView) -> dict[str, str]:
     from bokeh.resources import Resources
 
     library = "\n".join(Resources(mode="inline", components=["bokeh"], minified=True).js_raw)
-    most = max(FEWEST, min(MOST, ALL // max(1, len(view.tests))))
+    max_samples = max(FEWEST, min(MOST, ALL // max(1, len(view.tests))))
     data = {
         "systems": {
             s.name: {
@@ -385,7 +393,7 @@ def explore(view: CampaignView) -> dict[str, str]:
             }
             for s in view.systems
         },
-        "tests": [_packed(test, view, most) for test in view.tests],
+        "tests": [_packed(test, view, max_samples) for test in view.tests],
     }
     # bokeh's numbers of models grow from call to call: here they begin at 1001
     numbers: dict[str, str] = {}
@@ -404,18 +412,18 @@ def script_json(value: object) -> str:
     return text.replace("<", "\\u003c")
 
 
-def _packed(test: TestView, view: CampaignView, most: int) -> dict[str, Any]:
+def _packed(test: TestView, view: CampaignView, max_samples: int) -> dict[str, Any]:
     """A test with evenly spaced samples, and all turning points unless they are too many."""
     trace, fan = test.trace, test.observation
-    at = np.linspace(0, trace.samples - 1, min(trace.samples, most)).astype(np.intp)
-    if trace.turning_points.size < most // 4:
-        at = np.union1d(at, trace.turning_points)
+    indices = np.linspace(0, trace.samples - 1, min(trace.samples, max_samples)).astype(np.intp)
+    if trace.turning_points.size < max_samples // 4:
+        indices = np.union1d(indices, trace.turning_points)
     widest = fan.widest
-    none = np.full(trace.samples, np.nan)
+    missing = np.full(trace.samples, np.nan)
     arrays = {
         "time": trace.time,
         "displacement": trace.displacement,
-        "force": none if trace.force is None else trace.force,
+        "force": missing if trace.force is None else trace.force,
         "median": fan.median,
         "lower": widest.lower,
         "upper": widest.upper,
@@ -425,9 +433,9 @@ def _packed(test: TestView, view: CampaignView, most: int) -> dict[str, Any]:
     return {
         "name": {s.name: f"{test.id}, {s.actuation(trace, unit)}" for s in view.systems},
         "fitted": test.role != "validate",
-        "stage": "".join(str(int(code)) for code in stage[at]),
+        "stage": "".join(str(int(code)) for code in stage[indices]),
     } | {
-        name: base64.b64encode(values[at].astype("<f4").tobytes()).decode("ascii")
+        name: base64.b64encode(values[indices].astype("<f4").tobytes()).decode("ascii")
         for name, values in arrays.items()
     }
 
@@ -439,17 +447,17 @@ def _layout() -> Any:
 
     names = ("x", "t", "force", "median", "lower", "upper", "stage")
     source = ColumnDataSource({name: [] for name in names}, name="samples")
-    plots = [_plot(along, height, source) for along, height in (("x", 420), ("t", 260))]
+    plots = [_plot(abscissa, height, source) for abscissa, height in (("x", 420), ("t", 260))]
     return column(*plots, sizing_mode="stretch_width", name="explorer")
 
 
-def _plot(along: str, height: int, source: Any) -> Any:
+def _plot(abscissa: str, height: int, source: Any) -> Any:
     """Force along the displacement "x" or the time "t", with a text at the pointer."""
     from bokeh.models import HoverTool, Range1d
     from bokeh.plotting import figure
 
     options: dict[str, Any] = {  # half of them are missing from bokeh's types
-        "name": f"plot-{along}",
+        "name": f"plot-{abscissa}",
         "height": height,
         "sizing_mode": "stretch_width",
         "tools": "pan,box_zoom,wheel_zoom,reset",
@@ -463,14 +471,14 @@ def _plot(along: str, height: int, source: Any) -> Any:
     _, band, median = BANDS["observation"]
     # Along a loop the two edges go round the inside in opposite senses, so it stays empty; where
     # opposite branches overlap they cancel too, and the edges alone show the band.
-    plot.varea(along, "lower", "upper", source=source, fill_color=band, fill_alpha=0.7)
-    for edge in ("lower", "upper") if along == "x" else ():
-        plot.line(along, edge, source=source, color=SKY, line_width=0.5)
-    plot.line(along, "median", source=source, color=median, line_width=1.6)
-    plot.line(along, "force", source=source, color=DATA, line_width=1.2)
-    dots = plot.scatter(along, "force", source=source, size=7, alpha=0.0, line_alpha=0.0)
+    plot.varea(abscissa, "lower", "upper", source=source, fill_color=band, fill_alpha=0.7)
+    for edge in ("lower", "upper") if abscissa == "x" else ():
+        plot.line(abscissa, edge, source=source, color=SKY, line_width=0.5)
+    plot.line(abscissa, "median", source=source, color=median, line_width=1.6)
+    plot.line(abscissa, "force", source=source, color=DATA, line_width=1.2)
+    dots = plot.scatter(abscissa, "force", source=source, size=7, alpha=0.0, line_alpha=0.0)
     dots.hover_glyph = None
-    plot.add_tools(HoverTool(renderers=[dots], name=f"hover-{along}", mode="mouse"))
+    plot.add_tools(HoverTool(renderers=[dots], name=f"hover-{abscissa}", mode="mouse"))
     plot.toolbar.logo = None
     return plot
 
@@ -516,37 +524,37 @@ def publish(
     additions: Sequence[Addition] = (),
 ) -> None:
     """Write tables, figures and pages of a report into the run folder of its options."""
-    out = options.out
+    folder = options.out
     system, symbols, frames = view.system, Symbols(view.model), report_frames(view)
     sheets = dict(zip(("parameters", "laws"), paper_sheets(view, symbols), strict=True))
     if sheet is not None:
         frames["datasheet"] = datasheet_frame(sheet.rows, system)
         sheets["datasheet"] = datasheet_sheet(sheet.rows, view.title, symbols, system.axes)
     for name, frame in frames.items():
-        write_text(out / f"{name}.csv", to_csv(frame))
+        write_text(folder / f"{name}.csv", to_csv(frame))
     for name in ("parameters", "laws"):
-        write_text(out / f"{name}.json", to_json(view.title, name, frames[name]))
+        write_text(folder / f"{name}.json", to_json(view.title, name, frames[name]))
     for name, table in sheets.items():
-        write_text(out / f"{name}.tex", to_latex(name, table, symbols, system))
+        write_text(folder / f"{name}.tex", to_latex(name, table, symbols, system))
     if options.word:
-        made = to_word(view.title, sheets.values(), symbols, system)
-        write_bytes(out / "tables.docx", made)
+        document = to_word(view.title, sheets.values(), symbols, system)
+        write_bytes(folder / "tables.docx", document)
     if options.excel:
-        write_bytes(out / "tables.xlsx", to_excel({name: frames[name] for name in sheets}))
+        write_bytes(folder / "tables.xlsx", to_excel({name: frames[name] for name in sheets}))
     observe(Step("report", "figures"))
     images = _draw(view, options, processes, additions)
     for name, text in shared_tables(view):
-        write_text(out / name, text)
+        write_text(folder / name, text)
     for addition in additions:
-        write_text(out / table_of(addition.name), addition.table)
+        write_text(folder / table_of(addition.name), addition.table)
     observe(Step("report", "pages"))
     for name, page in render(view, images, sheet, additions).items():
-        write_text(out / name, page)
+        write_text(folder / name, page)
     if options.pdf:
         observe(Step("report", "PDF"))
         for name in ("report", *(["datasheet"] if sheet is not None else [])):
-            write_bytes(out / f"{name}.pdf", print_page(out / f"{name}.html"))
-    observe(Step("report", State.DONE))
+            write_bytes(folder / f"{name}.pdf", print_page(folder / f"{name}.html"))
+    observe(Step("report", JobState.DONE))
 
 
 def _draw(
@@ -561,31 +569,34 @@ def _draw(
     """
     from mfd_bayes.reporting import figures
 
-    out, every = options.out, options.all_tests or len(view.tests) <= ALL_DRAWN
+    folder, every = options.out, options.all_tests or len(view.tests) <= ALL_DRAWN
     tests = [test for test in view.tests if every or test.id in options.tests]
     for test in view.tests:  # what an earlier report has drawn may have nothing to show now
         for name in (*(f"{name}.png" for name in figures.OF_TEST), "record.csv"):
-            (out / "tests" / test.id / name).unlink(missing_ok=True)
-    functions = [partial(draw_test, out, replace(view, tests=()))] * len(tests)
+            (folder / "tests" / test.id / name).unlink(missing_ok=True)
+    functions = [partial(draw_test, folder, replace(view, tests=()))] * len(tests)
     with several_processes(functions, processes) as evaluate:
         of_tests = list(evaluate(enumerate(tests)))
-    shared = [*figures.draw_shared(view), *((each.name, each.figure) for each in additions)]
+    shared = [
+        *figures.draw_shared(view),
+        *((addition.name, addition.figure) for addition in additions),
+    ]
     images = {key: figures.to_png(figure) for key, figure in shared}
     for key, png in images.items():
-        write_bytes(out / "figures" / f"{key}.png", png)
-    return images | {key: png for drawn in of_tests for key, png in drawn.items()}
+        write_bytes(folder / "figures" / f"{key}.png", png)
+    return images | {key: png for pictures in of_tests for key, png in pictures.items()}
 
 
-def draw_test(out: Path, view: CampaignView, test: TestView) -> dict[str, bytes]:
+def draw_test(folder: Path, view: CampaignView, test: TestView) -> dict[str, bytes]:
     """Write figures and table of a test; the first bytes of each figure, by its key."""
     from mfd_bayes.reporting import figures
 
-    drawn = {}
+    pictures = {}
     for key, figure in figures.draw_test(test, view):
-        drawn[key] = figures.to_png(figure)
-        write_bytes(out / f"{key}.png", drawn[key])
-    write_text(out / "tests" / test.id / "record.csv", record_table(test, view.system))
-    return {key: png[:24] for key, png in drawn.items()}
+        pictures[key] = figures.to_png(figure)
+        write_bytes(folder / f"{key}.png", pictures[key])
+    write_text(folder / "tests" / test.id / "record.csv", record_table(test, view.system))
+    return {key: png[:24] for key, png in pictures.items()}
 
 
 def find_browser() -> str:
@@ -604,21 +615,21 @@ def print_page(page: Path) -> bytes:
     """PDF of a page, A4, printed by an installed Chromium."""
     browser = find_browser()
     with tempfile.TemporaryDirectory(prefix="mfd_bayes_pdf_") as folder:
-        made = Path(folder) / "page.pdf"
+        pdf = Path(folder) / "page.pdf"
         root = hasattr(os, "geteuid") and os.geteuid() == 0
         command = [
             *(browser, "--headless", "--disable-gpu", "--disable-quic", "--no-first-run"),
             *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
             *("--no-pdf-header-footer", f"--user-data-dir={folder}/profile"),
             *(["--no-sandbox"] if root else []),  # Chromium's own does not work for root
-            *(f"--print-to-pdf={made}", page.resolve().as_uri()),
+            *(f"--print-to-pdf={pdf}", page.resolve().as_uri()),
         ]
         try:
-            done = subprocess.run(command, capture_output=True, timeout=_PRINTING, check=False)
+            process = subprocess.run(command, capture_output=True, timeout=_PRINTING, check=False)
         except (OSError, subprocess.TimeoutExpired) as error:
             raise ReportError(f"{browser} did not print {page}: {error}") from error
-        if done.returncode != 0 or not made.is_file() or made.stat().st_size == 0:
-            said = done.stderr.decode("utf-8", "replace").strip().splitlines()
-            reason = said[-1] if said else "no reason"
+        if process.returncode != 0 or not pdf.is_file() or pdf.stat().st_size == 0:
+            lines = process.stderr.decode("utf-8", "replace").strip().splitlines()
+            reason = lines[-1] if lines else "no reason"
             raise ReportError(f"{browser} did not print {page}: {reason}")
-        return made.read_bytes()
+        return pdf.read_bytes()

@@ -87,7 +87,9 @@ class Symbols:
     def __init__(self, model: Model | None = None) -> None:
         standard = model.standard_names if model else _POOLED.keys()
         self.pooled = {name: words for name, words in _POOLED.items() if name in standard}
-        self.written = {n: (maths, html_of(maths), what) for n, (maths, what) in _SYMBOLS.items()}
+        self.written = {
+            n: (maths, html_of(maths), meaning) for n, (maths, meaning) in _SYMBOLS.items()
+        }
         for name, quantity in known_quantities(model).items():
             html = quantity.html
             self.written[name] = quantity.maths, html, quantity.meaning
@@ -99,12 +101,12 @@ class Symbols:
         if name in self.written:
             maths, html, _ = self.written[name]
             return symbol(maths, html)
-        prefix, of, more = _split(name)
+        prefix, of, suffix = _split(name)
         if prefix == "scatter" and of in self.pooled:
             of = self.pooled[of][0]
         if not prefix:
             return text(name.replace("_", " "))
-        return text(_PREFIXES[prefix][0]) + " " + self.written_as(of, symbol, text) + more
+        return text(_PREFIXES[prefix][0]) + " " + self.written_as(of, symbol, text) + suffix
 
     def in_figure(self, name: str) -> str:
         """Symbol as matplotlib writes it; an unknown name as plain text."""
@@ -112,8 +114,8 @@ class Symbols:
 
     def label(self, name: str, unit: str) -> str:
         """Axis label of a quantity with its unit."""
-        shown = plain(unit_text(unit))
-        return f"{self.in_figure(name)}, {shown}" if shown else self.in_figure(name)
+        unit_label = plain(unit_text(unit))
+        return f"{self.in_figure(name)}, {unit_label}" if unit_label else self.in_figure(name)
 
     def in_html(self, name: str) -> Markup:
         """Symbol as HTML; an unknown name escaped."""
@@ -122,32 +124,32 @@ class Symbols:
 
     def sentence(self, text: str) -> Markup:
         """A sentence as HTML, with symbols for the code names of quantities in it."""
-        parts, end = [], 0
+        pieces, end = [], 0
         for match in _CODE_NAME.finditer(text := printable(text)):
             if match[0] in self.written:
-                parts += [escape(text[end : match.start()]), Markup(self.written[match[0]][1])]
+                pieces += [escape(text[end : match.start()]), Markup(self.written[match[0]][1])]
                 end = match.end()
-        return Markup("").join([*parts, escape(text[end:])])
+        return Markup("").join([*pieces, escape(text[end:])])
 
     def parts(self, name: str) -> list[tuple[str, bool]]:
         """Symbol as parts of text, each with whether it is a subscript."""
         matches = _PART.finditer(self.in_html(name))
-        parts = ((unescape(m[1] or m[2] or ""), m[1] is not None) for m in matches)
-        return [part for part in parts if part[0]]
+        pieces = ((unescape(m[1] or m[2] or ""), m[1] is not None) for m in matches)
+        return [piece for piece in pieces if piece[0]]
 
     def meaning(self, name: str) -> str:
         """What a quantity is, "" where that is not known."""
         if name in self.written:
             return self.written[name][2]
-        prefix, of, more = _split(name)
+        prefix, of, suffix = _split(name)
         if not prefix:
             return ""
         text = _PREFIXES[prefix][1]
         if name in ("scatter_offset", "scatter_start"):
             text = "scatter from test to test"
         pooled = self.pooled.get(of) if prefix == "scatter" else None
-        what = pooled[1] if pooled else self.meaning(of) or of.replace("_", " ")
-        return f"{text}: {what}{more}"
+        description = pooled[1] if pooled else self.meaning(of) or of.replace("_", " ")
+        return f"{text}: {description}{suffix}"
 
 
 def check_symbols(model: Model) -> None:

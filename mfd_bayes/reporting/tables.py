@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mfd_bayes.evaluation.scores import Fan, Row, Rows
+from mfd_bayes.evaluation.scores import QuantileBand, Row, Rows
 from mfd_bayes.evaluation.views import CampaignView, TestView
 from mfd_bayes.population.bands import KIND_NAMES
 from mfd_bayes.reporting.symbols import Symbols, number, printable, unit_text
 from mfd_bayes.runs.manifest import ComparisonRow
-from mfd_bayes.runs.unit_system import US, System
+from mfd_bayes.runs.unit_system import US, UnitSystem
 from mfd_bayes.units import Axes, percent
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ _ENDINGS = {"_kip": "kip", "_in": "in", "_in_per_s": "in/s"}
 """Internal units at the ends of columns' names."""
 
 
-def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
+def to_units(frame: pd.DataFrame, system: UnitSystem) -> pd.DataFrame:
     """A table in the units of a system.
 
     A column `unit` is the unit of the numbers in its row; other columns have theirs at the end of
@@ -48,26 +48,26 @@ def to_units(frame: pd.DataFrame, system: System) -> pd.DataFrame:
     """
     if system == US:
         return frame
-    shown, axes = frame.copy(), system.axes
+    table, axes = frame.copy(), system.axes
     if not axes.of_damper:
         for name in {"quantity", "feature", "condition", "note"}.intersection(frame.columns):
-            shown[name] = [_renamed(words, axes) for words in frame[name]]
+            table[name] = [_renamed(words, axes) for words in frame[name]]
     if "unit" in frame:
-        by = frame["unit"].map(system.factor)
+        factors = frame["unit"].map(system.factor)
         for name in _OF_UNIT.intersection(frame.columns):
-            shown[name] = frame[name] * by
-        shown["unit"] = frame["unit"].map(system.unit)
+            table[name] = frame[name] * factors
+        table["unit"] = frame["unit"].map(system.unit)
     names = {}
     for name in frame.columns:
         for ending, internal in _ENDINGS.items():
             if name.endswith(ending):
                 names[name] = system.column(name.removesuffix(ending), internal)
-                shown[name] = frame[name] * system.factor(internal)
+                table[name] = frame[name] * system.factor(internal)
     if not axes.timed:
         names["time_s"] = "sample"
         rates = [n for n in map(str, frame) if n == "frequency_Hz" or n.endswith("_in_per_s")]
-        shown = shown.drop(columns=rates)
-    return shown.rename(columns=names)
+        table = table.drop(columns=rates)
+    return table.rename(columns=names)
 
 
 def _renamed(words: Any, axes: Axes) -> Any:
@@ -78,7 +78,7 @@ def _renamed(words: Any, axes: Axes) -> Any:
     return axes.text(words) if is_ours else words
 
 
-def convert_rows(rows: Rows, system: System) -> Rows:
+def convert_rows(rows: Rows, system: UnitSystem) -> Rows:
     """Rows with a key `unit`, in the units of a system."""
     return tuple(
         {
@@ -149,7 +149,7 @@ def _columns(table: str) -> dict[str, str]:
     return {key: column or key for key, _, column in pairs}
 
 
-def frame_of(table: str, rows: Iterable[Any], system: System = US) -> pd.DataFrame:
+def frame_of(table: str, rows: Iterable[Any], system: UnitSystem = US) -> pd.DataFrame:
     """A table of `_COLUMNS` with a line for each of its rows, dicts or dataclasses."""
     import pandas as pd
 
@@ -179,14 +179,14 @@ def report_frames(view: CampaignView) -> dict[str, pd.DataFrame]:
     return {name: frame_of(name, lines, view.system) for name, lines in rows.items()}
 
 
-def to_csv(frame: pd.DataFrame, about: Iterable[str] = ()) -> str:
+def to_csv(frame: pd.DataFrame, comments: Iterable[str] = ()) -> str:
     """A table as CSV, below lines of comments: six digits, and no text that a spreadsheet runs."""
     text = _safe(frame).to_csv(index=False, float_format="%.6g", lineterminator="\n")
-    return _comments(about) + text
+    return _comments(comments) + text
 
 
-def _comments(about: Iterable[str]) -> str:
-    return "".join(f"# {' '.join(line.split())}\n" for line in about)
+def _comments(lines: Iterable[str]) -> str:
+    return "".join(f"# {' '.join(line.split())}\n" for line in lines)
 
 
 def _safe(frame: pd.DataFrame) -> pd.DataFrame:
@@ -200,14 +200,14 @@ def _safe(frame: pd.DataFrame) -> pd.DataFrame:
         text = printable(value)
         return f"'{text}" if text.lstrip().startswith(_FORMULA) else text
 
-    shown = frame.copy()
+    table = frame.copy()
     for name in frame.columns:
         if frame[name].dtype.kind not in "fiu":
-            shown[name] = frame[name].astype(object).map(safe)
-    return shown
+            table[name] = frame[name].astype(object).map(safe)
+    return table
 
 
-def _csv(about: Iterable[str], columns: Mapping[str, Iterable[Any]], digits: int = 6) -> str:
+def _csv(comments: Iterable[str], columns: Mapping[str, Iterable[Any]], digits: int = 6) -> str:
     """CSV of columns without pandas, which takes long to import."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
@@ -215,7 +215,7 @@ def _csv(about: Iterable[str], columns: Mapping[str, Iterable[Any]], digits: int
     for row in zip(*columns.values(), strict=True):
         cells = (f"{c:.{digits}g}" if isinstance(c, float) else c for c in row)
         table.writerow("" if cell == "nan" else cell for cell in cells)
-    return _comments(about) + text.getvalue()
+    return _comments(comments) + text.getvalue()
 
 
 def to_json(title: str, name: str, frame: pd.DataFrame) -> str:
@@ -251,10 +251,10 @@ class Line:
         """Whether it has a number."""
         return any(map(math.isfinite, self.numbers))
 
-    def text(self, by: float = 1.0) -> str:
+    def text(self, factor: float = 1.0) -> str:
         """The line with three digits, its numbers times a factor."""
-        by = 1.0 if self.ratio else by
-        return self.template.format(*(number(by * value, 3) for value in self.numbers))
+        factor = 1.0 if self.ratio else factor
+        return self.template.format(*(number(factor * value, 3) for value in self.numbers))
 
 
 @dataclass(frozen=True)
@@ -295,17 +295,19 @@ class Sheet:
     lines: tuple[str, ...] = ()
     conditions: tuple[tuple[tuple[float, str], ...], ...] = ()
 
-    def blocks(self, most: int) -> list[Sheet]:
+    def blocks(self, max_columns: int) -> list[Sheet]:
         """Parts of the sheet with about as many columns each, and at most so many."""
-        most = -(-len(self.heads) // max(-(-len(self.heads) // most), 1)) or 1
+        max_columns = -(-len(self.heads) // max(-(-len(self.heads) // max_columns), 1)) or 1
         return [
             replace(
                 self,
-                heads=self.heads[at : at + most],
-                conditions=self.conditions[at : at + most],
-                rows=tuple(replace(row, cells=row.cells[at : at + most]) for row in self.rows),
+                heads=self.heads[start : start + max_columns],
+                conditions=self.conditions[start : start + max_columns],
+                rows=tuple(
+                    replace(row, cells=row.cells[start : start + max_columns]) for row in self.rows
+                ),
             )
-            for at in range(0, len(self.heads), most)
+            for start in range(0, len(self.heads), max_columns)
         ]
 
 
@@ -334,32 +336,34 @@ def _sheet(
 
     Where there is a joint posterior of all tests, it comes first.
     """
-    under: dict[tuple[str, str], list[Line]] = {}
+    noise_lines: dict[tuple[str, str], list[Line]] = {}
     for row in noises:
         name = row["other"].replace("{", "{{").replace("}", "}}")
         figures = row["other_median"], row["other_lower"], row["other_upper"]
         line = Line(f"{name}: {{}} [{{}}, {{}}]", figures)
-        under.setdefault((row["test"], row["name"]), []).append(line)
+        noise_lines.setdefault((row["test"], row["name"]), []).append(line)
     cells: dict[tuple[str, str], dict[str, Cell]] = {}
     for row in rows:
-        alone = row["median"], row["lower"], row["upper"]
+        test_values = row["median"], row["lower"], row["upper"]
         joint = tuple(row.get(f"joint_{key}", math.nan) for key in ("median", "lower", "upper"))
-        middle, *ends = joint if math.isfinite(joint[0]) else alone
+        middle, *ends = joint if math.isfinite(joint[0]) else test_values
         lines = [Line("{}", (middle,)), Line("[{}, {}]", tuple(ends))]
         if row.get("joint_conflict", False):
-            lines.append(Line("alone: {} [{}, {}]", alone, marked=True))
-        lines += under.get((row["test"], row["name"]), [])
+            lines.append(Line("alone: {} [{}, {}]", test_values, marked=True))
+        lines += noise_lines.get((row["test"], row["name"]), [])
         of_quantity = cells.setdefault((row["name"], row["unit"]), {})
         of_quantity[row["test"]] = Cell(tuple(lines), row["note"])
-    made = tuple(
-        SheetRow(name, unit, tuple(own.get(test, Cell()) for test in heads), symbols.meaning(name))
-        for (name, unit), own in cells.items()
+    sheet_rows = tuple(
+        SheetRow(
+            name, unit, tuple(test_cells.get(test, Cell()) for test in heads), symbols.meaning(name)
+        )
+        for (name, unit), test_cells in cells.items()
     )
     title = f"{title}, posterior median and equal-tailed 95 % interval"
-    return Sheet(title, tuple(heads.values()), made)
+    return Sheet(title, tuple(heads.values()), sheet_rows)
 
 
-def datasheet_frame(rows: pd.DataFrame, system: System) -> pd.DataFrame:
+def datasheet_frame(rows: pd.DataFrame, system: UnitSystem) -> pd.DataFrame:
     """Rows of a data sheet in the units of a system, with those of its conditions in the heads."""
     frame = rows.rename(columns={"stroke": "stroke_in", "frequency": "frequency_Hz"})
     if not system.axes.actuated:
@@ -376,16 +380,16 @@ def datasheet_sheet(rows: pd.DataFrame, title: str, symbols: Symbols, axes: Axes
     order = list(dict.fromkeys(rows["quantity"]))
     table: list[Row] = rows.to_dict("records")  # type: ignore[assignment]
     for row in sorted(table, key=lambda row: order.index(row["quantity"])):
-        parts = [(row["stroke"], "in")]
+        quantities = [(row["stroke"], "in")]
         if axes.actuated:
-            parts.insert(0, (row["actuation"], ACTUATION + row["actuation_unit"]))
+            quantities.insert(0, (row["actuation"], ACTUATION + row["actuation_unit"]))
         if axes.timed:
-            parts.append((row["frequency"], "Hz"))
-        conditions.setdefault(row["condition"], tuple(p for p in parts if math.isfinite(p[0])))
-        several, outside = row["n_cycles"] > 1, row["n_outside"] > 0
+            quantities.append((row["frequency"], "Hz"))
+        conditions.setdefault(row["condition"], tuple(p for p in quantities if math.isfinite(p[0])))
+        several, is_outside = row["n_cycles"] > 1, row["n_outside"] > 0
         ends = (row["measured_low"], row["measured_high"]) if several else (math.nan, math.nan)
         lines = (
-            Line("{}", (row["measured"],), marked=outside),
+            Line("{}", (row["measured"],), marked=is_outside),
             Line("{}–{}", ends),
             Line("{}", (row["nominal"],)),
             Line("{}–{}", (row["lower"], row["upper"])),
@@ -393,16 +397,16 @@ def datasheet_sheet(rows: pd.DataFrame, title: str, symbols: Symbols, axes: Axes
         )
         key = row["quantity"], row["direction"], row["cycle"], row["unit"]
         properties.setdefault(key, {})[row["condition"]] = Cell(lines, row["note"])
-    made = []
+    sheet_rows = []
     for (quantity, direction, cycle, unit), cells in properties.items():
         name = axes.text(quantity.replace("_", " "))
         detail = ", ".join(filter(None, (direction, f"cycle {cycle}" if cycle else "")))
         meaning = ", ".join(filter(None, (symbols.meaning(name), detail)))
         of = tuple(cells.get(condition, Cell()) for condition in conditions)
-        made.append(SheetRow(name, unit, of, meaning, detail))
+        sheet_rows.append(SheetRow(name, unit, of, meaning, detail))
     lines_of = ("measured", "cycles", "nominal", "bounds", "λ")
     heads, values = tuple(conditions), tuple(conditions.values())
-    return Sheet(f"{title}: data sheet", heads, tuple(made), lines_of, values)
+    return Sheet(f"{title}: data sheet", heads, tuple(sheet_rows), lines_of, values)
 
 
 _SCORE_ROWS = (
@@ -421,13 +425,13 @@ _SCORE_ROWS = (
 
 def score_sheet(rows: Sequence[Row], title: str = "Scores") -> Sheet:
     """Scores of predicted tests: tests are columns."""
-    made = []
+    sheet_rows = []
     for words, name, unit in _SCORE_ROWS:
         values = [(100.0 if unit == "%" else 1.0) * row.get(name, math.nan) for row in rows]
         if any(map(math.isfinite, values)):
             cells = tuple(Cell((Line("{}", (value,)),)) for value in values)
-            made.append(SheetRow(words, unit, cells))
-    return Sheet(title, tuple(row["test"] for row in rows), tuple(made))
+            sheet_rows.append(SheetRow(words, unit, cells))
+    return Sheet(title, tuple(row["test"] for row in rows), tuple(sheet_rows))
 
 
 # --- LaTeX, Excel and Word
@@ -475,52 +479,56 @@ def symbol_tex(name: str, symbols: Symbols) -> str:
     return str(symbols.written_as(name, lambda maths, _: f"${maths}$", escape_tex))
 
 
-def _on_paper(sheet: Sheet, system: System) -> Iterator[tuple[Sheet, dict[str, int], list[Any]]]:
+def _on_paper(
+    sheet: Sheet, system: UnitSystem
+) -> Iterator[tuple[Sheet, dict[str, int], list[Any]]]:
     """Parts of a sheet, each with the numbers of its notes, and its rows in the units of a system.
 
     A row is a `SheetRow`, its unit, and for each cell its lines and its note's number, 0 for none.
     """
-    for part in sheet.blocks(WIDE) if sheet.rows else ():
-        texts = dict.fromkeys(c.note for row in part.rows for c in row.cells if c.note)
-        notes, rows = {note: at for at, note in enumerate(texts, start=1)}, []
-        for row in part.rows:
-            by, cells = system.factor(row.unit), []
+    for block in sheet.blocks(WIDE) if sheet.rows else ():
+        texts = dict.fromkeys(c.note for row in block.rows for c in row.cells if c.note)
+        notes, rows = {note: index for index, note in enumerate(texts, start=1)}, []
+        for row in block.rows:
+            factor, cells = system.factor(row.unit), []
             for cell in row.cells:
-                lines = [line.text(by) for line in cell.lines if line.finite]
+                lines = [line.text(factor) for line in cell.lines if line.finite]
                 cells.append((lines or ["–"], notes.get(cell.note, 0)))
             rows.append((row, unit_text(system.unit(row.unit)) or "–", cells))
-        yield part, notes, rows
+        yield block, notes, rows
 
 
-def to_latex(name: str, sheet: Sheet, symbols: Symbols, system: System = US) -> str:
+def to_latex(name: str, sheet: Sheet, symbols: Symbols, system: UnitSystem = US) -> str:
     """A file of longtables in the manner of booktabs, in the units of a system."""
     texts = [
         f"% {printable(sheet.title)}.\n% \\usepackage{{booktabs,longtable,array}} in the preamble, "
         f"then \\input{{{name}.tex}} here.\n"
     ]
     small = r"\newline\scriptsize "
-    for at, (part, notes, rows) in enumerate(_on_paper(sheet, system), start=1):
+    for index, (block, notes, rows) in enumerate(_on_paper(sheet, system), start=1):
         lines = []
         for row, unit, cells in rows:
             quantity = filter(None, (symbol_tex(row.name, symbols), escape_tex(row.meaning)))
             lines.append([small.join(quantity), escape_tex(unit)])
             for texts_of, note in cells:
-                first, *more = map(escape_tex, texts_of)
-                first += f"$^{{{note}}}$" if note else ""
-                lines[-1].append(small.join([first, *more]))
+                first_line, *more_lines = map(escape_tex, texts_of)
+                first_line += f"$^{{{note}}}$" if note else ""
+                lines[-1].append(small.join([first_line, *more_lines]))
         column = r">{{\raggedright\arraybackslash}}p{{{:.2f}\linewidth}}"
-        widths = (0.25, 0.1, *[0.55 / len(part.heads)] * len(part.heads))
-        heads = ["Quantity", "Unit", *map(escape_tex, part.heads)]
+        widths = (0.25, 0.1, *[0.55 / len(block.heads)] * len(block.heads))
+        heads = ["Quantity", "Unit", *map(escape_tex, block.heads)]
         head, *body = (" & ".join(cells) + " \\\\\n" for cells in [heads, *lines])
         table = (
             f"\\begin{{longtable}}{{{''.join(map(column.format, widths))}}}\n"
-            f"\\caption{{{escape_tex(part.title)}.}} \\label{{tab:{name}-{at}}} \\\\\n"
+            f"\\caption{{{escape_tex(block.title)}.}} \\label{{tab:{name}-{index}}} \\\\\n"
             f"\\toprule\n{head}\\midrule\n\\endfirsthead\n"
             f"\\toprule\n{head}\\midrule\n\\endhead\n\\bottomrule\n\\endfoot\n"
             f"{''.join(body)}\\end{{longtable}}\n"
         )
-        below = "".join(rf"$^{{{i}}}$ {escape_tex(note)}.\par" "\n" for note, i in notes.items())
-        texts.append(f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{3pt}}\n{table}{below}}}\n")
+        footnotes = "".join(
+            rf"$^{{{i}}}$ {escape_tex(note)}.\par" "\n" for note, i in notes.items()
+        )
+        texts.append(f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{3pt}}\n{table}{footnotes}}}\n")
     return "".join(texts)
 
 
@@ -538,7 +546,9 @@ def to_excel(frames: Mapping[str, pd.DataFrame]) -> bytes:
     return stream.getvalue()
 
 
-def to_word(title: str, sheets: Iterable[Sheet], symbols: Symbols, system: System = US) -> bytes:
+def to_word(
+    title: str, sheets: Iterable[Sheet], symbols: Symbols, system: UnitSystem = US
+) -> bytes:
     """A Word document (.docx) in the units of a system; each part of a sheet begins a page."""
     from docx import Document
     from docx.shared import Pt
@@ -547,24 +557,24 @@ def to_word(title: str, sheets: Iterable[Sheet], symbols: Symbols, system: Syste
     document.core_properties.author = "mfd_bayes"
     document.styles["Normal"].font.size = Pt(9)
     document.add_heading(printable(title), level=1)
-    parts = (part for sheet in sheets for part in _on_paper(sheet, system))
-    for at, (part, notes, rows) in enumerate(parts):
-        caption = document.add_paragraph(printable(part.title), style="Caption")
-        caption.paragraph_format.page_break_before = at > 0
-        grid = document.add_table(rows=1, cols=2 + len(part.heads), style="Light List")
-        for cell, head in zip(grid.rows[0].cells, ("Quantity", "Unit", *part.heads), strict=True):
+    blocks = (block for sheet in sheets for block in _on_paper(sheet, system))
+    for index, (block, notes, rows) in enumerate(blocks):
+        caption = document.add_paragraph(printable(block.title), style="Caption")
+        caption.paragraph_format.page_break_before = index > 0
+        grid = document.add_table(rows=1, cols=2 + len(block.heads), style="Light List")
+        for cell, head in zip(grid.rows[0].cells, ("Quantity", "Unit", *block.heads), strict=True):
             cell.text = printable(head)
         for row, unit_name, cells in rows:
-            name, unit, *others = grid.add_row().cells
+            name, unit, *value_cells = grid.add_row().cells
             for text, low in symbols.parts(row.name):
                 name.paragraphs[0].add_run(text).font.subscript = low
             if row.meaning:
                 name.add_paragraph().add_run(row.meaning).font.size = Pt(7.5)
             unit.text = unit_name
-            for place, (lines, note) in zip(others, cells, strict=True):
-                place.text = "\n".join(lines)
+            for target, (lines, note) in zip(value_cells, cells, strict=True):
+                target.text = "\n".join(lines)
                 if note:
-                    place.paragraphs[0].add_run(f" {note}").font.superscript = True
+                    target.paragraphs[0].add_run(f" {note}").font.superscript = True
         for note, i in notes.items():
             document.add_paragraph(f"{i} {printable(note)}.")
     stream = io.BytesIO()
@@ -618,7 +628,7 @@ def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
         yield table_of("truth"), to_csv(frame_of("truth", view.truth, system))
 
 
-def record_table(test: TestView, system: System = US) -> str:
+def record_table(test: TestView, system: UnitSystem = US) -> str:
     """The table behind the loops, history and residuals of one test, in the units of a system."""
     record = _record(test)
     if test.trace.force is not None:
@@ -645,7 +655,7 @@ def _record(test: TestView) -> pd.DataFrame:
     return pd.DataFrame(columns | _bands(test.observation))
 
 
-def _bands(fan: Fan, name: str = "") -> dict[str, Any]:
+def _bands(fan: QuantileBand, name: str = "") -> dict[str, Any]:
     """Median and bounds of a fan by column."""
     columns = {f"{name}median_kip": fan.median}
     for interval in fan.intervals:
@@ -655,11 +665,11 @@ def _bands(fan: Fan, name: str = "") -> dict[str, Any]:
     return columns
 
 
-def _laws(view: CampaignView, system: System) -> pd.DataFrame:
+def _laws(view: CampaignView, system: UnitSystem) -> pd.DataFrame:
     """Every law's curve with its bands, and the tests beside it."""
     import pandas as pd
 
-    along, frames = system.factor(view.actuation_unit), []
+    actuation_factor, frames = system.factor(view.actuation_unit), []
     for law in view.laws:
         curves: list[tuple[Any, ...]] = [
             (
@@ -670,11 +680,13 @@ def _laws(view: CampaignView, system: System) -> pd.DataFrame:
         ]
         curves += [(f"test {name}, 95 %", *values) for name, *values in law.tested]
         head = {"quantity": law.name, "unit": system.unit(law.unit), "law": law.law}
-        for what, actuation, *bounds in curves:
+        for label, actuation, *bounds in curves:
             columns = {
-                f"actuation_{system.unit(view.actuation_unit)}": np.atleast_1d(actuation * along)
+                f"actuation_{system.unit(view.actuation_unit)}": np.atleast_1d(
+                    actuation * actuation_factor
+                )
             }
             for name, bound in zip(("lower", "median", "upper"), bounds, strict=True):
                 columns[name] = np.atleast_1d(bound * system.factor(law.unit))
-            frames.append(pd.DataFrame({**head, "what": what, **columns}))
+            frames.append(pd.DataFrame({**head, "what": label, **columns}))
     return pd.concat(frames)

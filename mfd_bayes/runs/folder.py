@@ -88,16 +88,16 @@ def record_of(test_id: str) -> str:
 
 def is_written_by_run(name: Path) -> bool:
     """Whether a run writes a file of this name in its folder."""
-    first = name.parts[0] if name.parts else ""
-    return first in FOLDERS or name.as_posix() in (*OUTPUTS, MANIFEST, DISCARDED)
+    top = name.parts[0] if name.parts else ""
+    return top in FOLDERS or name.as_posix() in (*OUTPUTS, MANIFEST, DISCARDED)
 
 
 def is_file_of_a_run(path: Path) -> bool:
     """Whether a path, links followed, lies in a run folder and is one that the run writes."""
-    place = path.resolve()
-    for folder in place.parents:
+    target = path.resolve()
+    for folder in target.parents:
         if (folder / MANIFEST).is_file() or (folder / DISCARDED).is_file():
-            return is_written_by_run(place.relative_to(folder))
+            return is_written_by_run(target.relative_to(folder))
     return False
 
 
@@ -105,18 +105,18 @@ def is_file_of_a_run(path: Path) -> bool:
 
 
 @contextmanager
-def alone_in(out: Path) -> Iterator[None]:
+def alone_in(folder: Path) -> Iterator[None]:
     """Make the folder and keep other processes from working in it until the end.
 
     The lock is the operating system's, on a file in the folder, and ends with its owner. The file
     names the owner to a process that is refused.
     """
-    path = out / OWNER
+    path = folder / OWNER
     try:
-        out.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         file = path.open("ab+", buffering=0)
     except OSError as error:
-        raise StoreError(f"cannot write in the run folder {out}: {error.strerror}") from error
+        raise StoreError(f"cannot write in the run folder {folder}: {error.strerror}") from error
 
     def leave() -> None:
         with suppress(OSError):  # a name that is left behind is no lock
@@ -127,10 +127,10 @@ def alone_in(out: Path) -> Iterator[None]:
             file.seek(0)
             owner = file.read(1000).decode(errors="replace").strip()
             name = f": {owner}" if owner else ""
-            raise StoreError(f"another process is working in {out}{name}: let it end")
+            raise StoreError(f"another process is working in {folder}{name}: let it end")
         command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-        where = f"process {os.getpid()} on {socket.gethostname()}"
-        owner = f"{command!r}, {where} since {datetime.now(UTC):%Y-%m-%d %H:%M:%S UTC}"
+        process = f"process {os.getpid()} on {socket.gethostname()}"
+        owner = f"{command!r}, {process} since {datetime.now(UTC):%Y-%m-%d %H:%M:%S UTC}"
         with before_end(leave):
             try:
                 with suppress(OSError):  # a full disk: the first result reports it
@@ -155,40 +155,40 @@ def _has_lock(file: FileIO, path: Path) -> bool:
 # --- what lies in a folder
 
 
-def is_free(out: Path, home: Path) -> bool:
+def is_free(folder: Path, campaign_folder: Path) -> bool:
     """Whether a folder holds nothing but the campaign, a lock's owner or an unfinished manifest."""
-    return not out.is_dir() or all(
-        entry.resolve() == home or entry.name == OWNER or is_part(entry, MANIFEST)
-        for entry in out.iterdir()
+    return not folder.is_dir() or all(
+        entry.resolve() == campaign_folder or entry.name == OWNER or is_part(entry, MANIFEST)
+        for entry in folder.iterdir()
     )
 
 
-def check_links(out: Path, names: Iterable[str] = FOLDERS) -> None:
+def check_links(folder: Path, names: Iterable[str] = FOLDERS) -> None:
     """Refuse named folders that are, or hold, links to outside of a run folder."""
     try:
-        home = out.resolve()
+        root = folder.resolve()
         for name in names:
-            for path in chain([out / name], (out / name).rglob("*")):
-                if path.is_symlink() and not path.resolve().is_relative_to(home):
+            for path in chain([folder / name], (folder / name).rglob("*")):
+                if path.is_symlink() and not path.resolve().is_relative_to(root):
                     raise StoreError(f"{path} is a link to outside of the run folder")
     except (OSError, RuntimeError) as error:  # links in a circle
-        raise StoreError(f"cannot read {out}: {error}") from error
+        raise StoreError(f"cannot read {folder}: {error}") from error
 
 
-def check_places(out: Path) -> None:
+def check_places(folder: Path) -> None:
     """Refuse a folder in which a file of the run would replace a device, a pipe or a link."""
     for name in (MANIFEST, *OUTPUTS):
-        check_place(out / name)
+        check_place(folder / name)
 
 
-def check_stored(out: Path, name: str, digests: Mapping[str, Any]) -> Path:
+def check_stored(folder: Path, name: str, digests: Mapping[str, Any]) -> Path:
     """Path of a stored file, checked: it is in the run folder and its hash, if known, is unchanged.
 
     Raises StoreError where it is missing, a link to elsewhere, or not what was written.
     """
-    path = out / name
+    path = folder / name
     try:
-        if not path.resolve().is_relative_to(out.resolve()):
+        if not path.resolve().is_relative_to(folder.resolve()):
             raise StoreError(f"{path} is a link to outside of the run folder")
         if name in digests and hash_file(path) != digests[name]:
             raise StoreError(
@@ -200,59 +200,59 @@ def check_stored(out: Path, name: str, digests: Mapping[str, Any]) -> Path:
     return path
 
 
-def hash_stored(out: Path, names: Iterable[str]) -> dict[str, str]:
+def hash_stored(folder: Path, names: Iterable[str]) -> dict[str, str]:
     """SHA-256 of the named files that exist in a run folder."""
-    return {name: hash_file(out / name) for name in names if (out / name).is_file()}
+    return {name: hash_file(folder / name) for name in names if (folder / name).is_file()}
 
 
-def check_apart(out: Path, inputs: Iterable[Path], *, force: bool, resume: bool = False) -> None:
+def check_apart(folder: Path, inputs: Iterable[Path], *, force: bool, resume: bool = False) -> None:
     """Refuse a run that would remove or replace one of its inputs: campaign, priors, records.
 
     With `force`, what an earlier run wrote will be removed; with `resume`, what it wrote of a test.
     """
-    home = out.resolve()
+    root = folder.resolve()
     for path in inputs:
-        place = path.resolve()
-        if not place.is_relative_to(home):
+        target = path.resolve()
+        if not target.is_relative_to(root):
             continue
-        name = place.relative_to(home)
+        name = target.relative_to(root)
         copied = name.as_posix() in (CAMPAIGN, PRIORS, MODEL)  # written as they were read
         in_folder = name.parts[0] in FOLDERS and not (resume and name.parts[0] == "tests")
         if is_written_by_run(name) and (force or not (copied or in_folder)):
             raise StoreError(
-                f"{path} is an input of this run and lies where {out} is written: it would be "
+                f"{path} is an input of this run and lies where {folder} is written: it would be "
                 "lost; give another folder"
             )
 
 
-def discard(out: Path) -> None:
+def discard(folder: Path) -> None:
     """Remove what a run wrote, and nothing else; if it is interrupted, it can be repeated.
 
     Raises StoreError where the folder is not a run folder, or something cannot be removed.
     """
-    check_links(out)
-    begun = out / DISCARDED
+    check_links(folder)
+    marker = folder / DISCARDED
     try:
-        if (out / MANIFEST).is_file():
-            (out / MANIFEST).replace(begun)
-        elif not begun.exists():
-            raise StoreError(f"{out} exists and is not a run folder: it has no {MANIFEST}")
-        remove_partial_files(out)
+        if (folder / MANIFEST).is_file():
+            (folder / MANIFEST).replace(marker)
+        elif not marker.exists():
+            raise StoreError(f"{folder} exists and is not a run folder: it has no {MANIFEST}")
+        remove_partial_files(folder)
         for name in FOLDERS:
-            remove_folder(out, name)
+            remove_folder(folder, name)
         for name in (*OUTPUTS, *ADVICE):
-            (out / name).unlink(missing_ok=True)
-        begun.unlink()
+            (folder / name).unlink(missing_ok=True)
+        marker.unlink()
     except OSError as error:
-        raise cannot_remove(out, error) from error
+        raise cannot_remove(folder, error) from error
 
 
-def remove_folder(out: Path, name: str) -> None:
+def remove_folder(folder: Path, name: str) -> None:
     """Remove what a run wrote in one of its folders, and the folder where nothing else is in it.
 
     Of a link, the link alone. StoreError where something cannot be removed.
     """
-    path = out / name
+    path = folder / name
     try:
         if path.is_symlink():
             path.unlink()
@@ -261,30 +261,30 @@ def remove_folder(out: Path, name: str) -> None:
                 if WRITTEN.fullmatch(f"{name}/{entry.name}"):
                     entry.unlink()
                 elif name == "tests" and entry.is_dir():
-                    remove_folder(out, f"{name}/{entry.name}")
+                    remove_folder(folder, f"{name}/{entry.name}")
             if not any(path.iterdir()):
                 path.rmdir()
     except OSError as error:
         raise cannot_remove(path, error) from error
 
 
-def remove_stale(out: Path, *, draws: bool) -> None:
+def remove_stale(folder: Path, *, draws: bool) -> None:
     """Remove what no report writes again unasked, before the population is inferred anew.
 
     With `draws`, tests are sampled too, and the table of their draws is removed.
     """
     on_request = (*_ON_REQUEST, *ADVICE, "figures/next.png", "figures/next.csv")
     for name in (*on_request, *(DRAWS if draws else ())):
-        remove_file(out / name)
+        remove_file(folder / name)
 
 
-def remove_partial_files(out: Path) -> None:
+def remove_partial_files(folder: Path) -> None:
     """Remove the partly written files that a killed process left in a run folder, if possible."""
-    for parts in (out.glob, *((out / name).rglob for name in FOLDERS)):
-        for part in parts(f".*{PART}"):
-            if re.fullmatch(rf"\..+\.[0-9a-f]{{8}}\{PART}", part.name):
+    for glob in (folder.glob, *((folder / name).rglob for name in FOLDERS)):
+        for path in glob(f".*{PART}"):
+            if re.fullmatch(rf"\..+\.[0-9a-f]{{8}}\{PART}", path.name):
                 with suppress(OSError):  # if the folder is read-only, the next write reports it
-                    part.unlink(missing_ok=True)
+                    path.unlink(missing_ok=True)
 
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: bool) -> None:

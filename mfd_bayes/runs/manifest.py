@@ -21,7 +21,7 @@ from pydantic import Field, field_validator, model_validator
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.campaign.schema import CampaignFile, Id, Role
 from mfd_bayes.errors import CampaignError, StoreError, UnitError, hash_file
-from mfd_bayes.jobs.job import State
+from mfd_bayes.jobs.job import JobState
 from mfd_bayes.messages import Message
 from mfd_bayes.population.mixed_model import DependenceScore, LawScore
 from mfd_bayes.records.loops import MeasuredCycles
@@ -32,7 +32,7 @@ from mfd_bayes.runs.folder import (
     pooled_of,
     posterior_of,
 )
-from mfd_bayes.runs.unit_system import System, system_of
+from mfd_bayes.runs.unit_system import UnitSystem, system_of
 from mfd_bayes.store.files import (
     AtLeastOne,
     Figure,
@@ -92,26 +92,26 @@ OLD_PAGE = (
 )
 
 
-def mark_pages(out: Path) -> None:
+def mark_pages(folder: Path) -> None:
     """Let the pages of an earlier report say so, while a run is calibrated again."""
-    since, begin = f"{datetime.now(UTC):%Y-%m-%d %H:%M UTC}", OLD_PAGE.partition("{")[0]
+    date, begin = f"{datetime.now(UTC):%Y-%m-%d %H:%M UTC}", OLD_PAGE.partition("{")[0]
     for path in (
-        *out.glob("report.html"),
-        *out.glob("datasheet.html"),
-        *out.glob("tests/*/page.html"),
+        *folder.glob("report.html"),
+        *folder.glob("datasheet.html"),
+        *folder.glob("tests/*/page.html"),
     ):
         try:
             text = path.read_text(encoding="utf-8")
         except (OSError, ValueError):  # not what a report wrote
             continue
         if begin not in text:
-            write_text(path, text.replace("<header>", f"<header>{OLD_PAGE.format(since=since)}", 1))
+            write_text(path, text.replace("<header>", f"<header>{OLD_PAGE.format(since=date)}", 1))
 
 
 # --- verdicts and warnings
 
 
-class Verdict(StrEnum):
+class CheckStatus(StrEnum):
     """Verdict of a check, as its files hold it."""
 
     PASS = "pass"
@@ -123,17 +123,17 @@ class Verdict(StrEnum):
     """The value is beyond its limit: figures that depend on it must not be used."""
 
     @classmethod
-    def of(cls, good: bool) -> Verdict:
+    def of(cls, condition: bool) -> CheckStatus:
         """PASS or FAIL."""
-        return cls.PASS if good else cls.FAIL
+        return cls.PASS if condition else cls.FAIL
 
     @classmethod
-    def pass_or_note(cls, good: bool) -> Verdict:
+    def pass_or_note(cls, condition: bool) -> CheckStatus:
         """PASS or NOTE, of a check that cannot fail."""
-        return cls.PASS if good else cls.NOTE
+        return cls.PASS if condition else cls.NOTE
 
 
-class Use(StrEnum):
+class Fitness(StrEnum):
     """What a test or a run may be used for, in the words of its verdict; the best first."""
 
     USABLE = "usable"
@@ -141,10 +141,10 @@ class Use(StrEnum):
     NOT_USABLE = "not usable"
 
     @property
-    def mark(self) -> Verdict:
+    def mark(self) -> CheckStatus:
         """The verdict of a check that looks like it."""
-        marks = {self.USABLE: Verdict.PASS, self.WITH_CARE: Verdict.WARNING}
-        return marks.get(self, Verdict.FAIL)
+        marks = {self.USABLE: CheckStatus.PASS, self.WITH_CARE: CheckStatus.WARNING}
+        return marks.get(self, CheckStatus.FAIL)
 
 
 SPOILING = re.compile(
@@ -187,7 +187,7 @@ class Entry(Part):
     """A test: its record, and how its calibration went."""
 
     role: Role
-    status: State
+    status: JobState
     samples: Index
     rate: Positive
     """Sampling rate of the fit, Hz."""
@@ -387,7 +387,7 @@ class Manifest(Part):
         return self.model_dump()
 
     @property
-    def system(self) -> System:
+    def system(self) -> UnitSystem:
         """System of units of the records, fit for the size of their forces."""
         return system_of(
             (entry.unit for entry in self.tests.values()),
@@ -402,9 +402,9 @@ class Manifest(Part):
         """Ids of the tests that are to be calibrated."""
         return [name for name, entry in self.tests.items() if entry.role == "calibrate"]
 
-    def changed(self, **parts: Any) -> Self:
+    def changed(self, **updates: Any) -> Self:
         """The manifest with changed keys."""
-        return self.model_copy(update=parts)
+        return self.model_copy(update=updates)
 
     def with_test(self, name: str, **values: Any) -> Self:
         """The manifest with changed values of a test."""
@@ -493,30 +493,30 @@ def this_machine() -> dict[str, str]:
     }
 
 
-def _damage(out: Path, name: str, before: Manifest) -> str:
+def _damage(folder: Path, name: str, previous: Manifest) -> str:
     """Why the stored posterior of a test cannot be kept; "" where it can, or there is none.
 
     The hash of one that was stored just before the run was killed is not known: it is read.
     """
     file = posterior_of(name)
-    if not (out / file).is_file():
+    if not (folder / file).is_file():
         return ""
     try:
-        path = check_stored(out, file, before.files)
-        if file not in before.files and load_test(path).facts.get("test") != name:
+        path = check_stored(folder, file, previous.files)
+        if file not in previous.files and load_test(path).facts.get("test") != name:
             return f"{path} is of another test"
     except StoreError as error:
         return str(error)
     return ""
 
 
-def _damage_of_population(out: Path, before: Manifest) -> str:
+def _damage_of_population(folder: Path, previous: Manifest) -> str:
     """Why the stored population of a finished run cannot be kept; "" where it can."""
-    if before.status == Status.FINISHED:
+    if previous.status == Status.FINISHED:
         try:
-            for name in (POPULATION, *map(pooled_of, before.tests)):
-                if name in before.files:
-                    check_stored(out, name, before.files)
+            for name in (POPULATION, *map(pooled_of, previous.tests)):
+                if name in previous.files:
+                    check_stored(folder, name, previous.files)
         except StoreError as error:
             return str(error)
     return ""

@@ -14,8 +14,8 @@ from mfd_bayes.errors import (
     FitError,
     whole_number,
 )
-from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, Forecast
-from mfd_bayes.population.conditioning import Conditioned
+from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, PredictionOptions
+from mfd_bayes.population.conditioning import ConditioningSummary
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 
@@ -54,8 +54,8 @@ class ModelAverage:
                 f"an average of models needs two or more runs, as open_run opens them, got {kinds}"
             )
         object.__setattr__(self, "runs", runs)
-        for first, second in pairwise(runs):
-            _check_same_records(first, second)
+        for first_run, second_run in pairwise(runs):
+            _check_same_records(first_run, second_run)
         twice = [name for name in self.models if self.models.count(name) > 1]
         if twice:
             raise FitError(
@@ -66,10 +66,10 @@ class ModelAverage:
     def models(self) -> tuple[str, ...]:
         """Model of each run, with its noise where two of them have the same model."""
         settings = [run.manifest.settings for run in self.runs]
-        names = [own.model for own in settings]
+        names = [setting.model for setting in settings]
         if len(set(names)) == len(names):
             return tuple(names)
-        return tuple(f"{own.model} ({own.noise})" for own in settings)
+        return tuple(f"{setting.model} ({setting.noise})" for setting in settings)
 
     def predict(
         self,
@@ -113,7 +113,7 @@ class ModelAverage:
             run.predict(trace, kind, probability, draws=draws // n + (i < draws % n), **options)
             for i, run in enumerate(self.runs)
         ]
-        forecast = Forecast(kind, probability, draws, seed, session, whole)
+        forecast = PredictionOptions(kind, probability, draws, seed, session, whole)
         together = np.concatenate([band.draws for band in bands])
         remarks = dict.fromkeys(remark for band in bands for remark in band.remarks)
         return replace(
@@ -127,23 +127,25 @@ class ModelAverage:
         """Where the parameters come from."""
         if len({band.source for band in bands}) == 1:
             return f"{_listed(self.models)} in equal parts, {bands[0].source}"
-        each = [f"{name}, {b.source}" for name, b in zip(self.models, bands, strict=True)]
-        return f"equal parts of {_listed(each)}"
+        sources = [f"{name}, {b.source}" for name, b in zip(self.models, bands, strict=True)]
+        return f"equal parts of {_listed(sources)}"
 
 
-def _check_same_records(first: Run, second: Run) -> None:
+def _check_same_records(first_run: Run, second_run: Run) -> None:
     """Refuse runs that were not calibrated with the same records."""
-    where = f"{first.folder} and {second.folder}"
-    if odd := sorted({*first.tests} ^ {*second.tests}):
+    folders = f"{first_run.folder} and {second_run.folder}"
+    if odd := sorted({*first_run.tests} ^ {*second_run.tests}):
         raise FitError(
-            f"test {odd[0]!r} is calibrated in only one of {where}: an average of models needs "
+            f"test {odd[0]!r} is calibrated in only one of {folders}: an average of models needs "
             "runs of the same tests"
         )
-    for name, test in first.tests.items():
-        force, other = (np.asarray(each.trace.force) for each in (test, second.tests[name]))
-        if not np.array_equal(force, other):
+    for name, test in first_run.tests.items():
+        force, other_force = (
+            np.asarray(result.trace.force) for result in (test, second_run.tests[name])
+        )
+        if not np.array_equal(force, other_force):
             raise FitError(
-                f"the record of test {name!r} is not the same in {where}: an average of models "
+                f"the record of test {name!r} is not the same in {folders}: an average of models "
                 "needs runs of the same records"
             )
 
@@ -167,9 +169,9 @@ def _disagreement(bands: Sequence[Band]) -> list[str]:
     ]
 
 
-def _worst_given(parts: Sequence[Conditioned]) -> Conditioned | None:
+def _worst_given(results: Sequence[ConditioningSummary]) -> ConditioningSummary | None:
     """How the worst of the models took the given part in, with the effective draws of all."""
-    if not parts:
+    if not results:
         return None
-    worst = max(parts, key=lambda part: part.pareto_k)
-    return replace(worst, effective=sum(part.effective for part in parts))
+    worst = max(results, key=lambda result: result.pareto_k)
+    return replace(worst, effective=sum(result.effective for result in results))

@@ -11,7 +11,7 @@ from pathlib import Path
 from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.models import file_of
-from mfd_bayes.jobs.job import State
+from mfd_bayes.jobs.job import JobState
 from mfd_bayes.runs.folder import (
     CROSSVALIDATION,
     DISCARDED,
@@ -60,8 +60,8 @@ def with_keys(manifest: Manifest, priors: PriorFile) -> Manifest:
     for name, test in settings.tests.items():
         columns = {role: c.model_dump() for role, c in settings.columns_of(test).items()}
         record = manifest.inputs[test.file], Path(test.file).suffix.lower()
-        own = name, test.role, record, columns, test.window, str(test.actuation)
-        keys[folder_of(name)] = _digest(own, of_all)
+        content = name, test.role, record, columns, test.window, str(test.actuation)
+        keys[folder_of(name)] = _digest(content, of_all)
     fitted = {name: keys[folder_of(name)] for name in manifest.fitted}
     keys[COMPARISON] = _digest([*fitted.items()])
     keys[POPULATION] = _digest(
@@ -72,14 +72,17 @@ def with_keys(manifest: Manifest, priors: PriorFile) -> Manifest:
         (settings.laws, settings.dependence, settings.actuation_unit),
         {name: (s.parameters, s.sd, s.sparse) for name, s in priors.scatter.items()},
     )
-    followed = {name: (after, keys[folder_of(after)]) for name, after in settings.order.items()}
+    followed = {
+        name: (predecessor, keys[folder_of(predecessor)])
+        for name, predecessor in settings.order.items()
+    }
     keys[CROSSVALIDATION] = _digest(keys[POPULATION], followed)
     return manifest.changed(keys=keys)
 
 
-def _digest(*parts: object) -> str:
+def _digest(*values: object) -> str:
     """SHA-256 of plain values, 64 hexadecimal digits."""
-    text = json.dumps(json.loads(json_text(parts)), sort_keys=True)
+    text = json.dumps(json.loads(json_text(values)), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -93,116 +96,135 @@ class Resumed:
     notes: tuple[str, ...] = ()
 
 
-def check_free(home: Path, out: Path) -> None:
+def check_free(campaign_folder: Path, folder: Path) -> None:
     """Refuse a folder that exists, where it is neither to be resumed nor to be replaced."""
-    if not is_free(out, home):
-        raise StoreError(f"{out} exists: give --resume to finish it or --force to replace it")
+    if not is_free(folder, campaign_folder):
+        raise StoreError(f"{folder} exists: give --resume to finish it or --force to replace it")
 
 
 def prepare_folder(
-    manifest: Manifest, home: Path, out: Path, *, resume: bool = False, force: bool = False
+    manifest: Manifest,
+    campaign_folder: Path,
+    folder: Path,
+    *,
+    resume: bool = False,
+    force: bool = False,
 ) -> Resumed:
     """Check that a run may be started, resumed or replaced in a folder; remove a replaced one.
 
     Of a run that is resumed, everything is kept whose key is the same as before; what is stored
     under another key is removed.
     """
-    check_links(out)
-    check_places(out)
-    if is_free(out, home):
+    check_links(folder)
+    check_places(folder)
+    if is_free(folder, campaign_folder):
         return Resumed(manifest)
     if not (resume or force):
-        check_free(home, out)
-    if force or (out / DISCARDED).exists():
-        discard(out)
+        check_free(campaign_folder, folder)
+    if force or (folder / DISCARDED).exists():
+        discard(folder)
         return Resumed(manifest)
     try:
-        before = read_begun(out)
+        previous = read_begun(folder)
     except StoreError as error:
-        again = "--force to start again" if (out / MANIFEST).exists() else "another folder by -o"
-        raise StoreError(f"{out} cannot be resumed: {error}; give {again}") from error
-    _check_resumable(manifest, before, out)
-    same = {place for place, key in manifest.keys.items() if before.keys.get(place) == key}
-    damaged = {name: reason for name in manifest.tests if (reason := _damage(out, name, before))}
-    kept = [n for n in manifest.tests if folder_of(n) in same and n not in damaged]
+        again = "--force to start again" if (folder / MANIFEST).exists() else "another folder by -o"
+        raise StoreError(f"{folder} cannot be resumed: {error}; give {again}") from error
+    _check_resumable(manifest, previous, folder)
+    unchanged = {
+        result for result, key in manifest.keys.items() if previous.keys.get(result) == key
+    }
+    damaged = {
+        name: reason for name in manifest.tests if (reason := _damage(folder, name, previous))
+    }
+    kept_tests = [n for n in manifest.tests if folder_of(n) in unchanged and n not in damaged]
     notes = [f"{reason}; {name} is sampled again" for name, reason in damaged.items()]
-    if POPULATION in same and not damaged and (reason := _damage_of_population(out, before)):
+    if (
+        POPULATION in unchanged
+        and not damaged
+        and (reason := _damage_of_population(folder, previous))
+    ):
         notes.append(f"{reason}; the population is inferred again")
-        same.remove(POPULATION)
-    resumed = _with_results(manifest, before, kept, out)
-    if COMPARISON in same and all((out / posterior_of(n)).is_file() for n in manifest.fitted):
-        resumed = resumed.changed(comparison=before.comparison)
-    notes += _notes([*kept, *damaged], manifest, before, out)
-    if CROSSVALIDATION not in same:
-        remove_folder(out, CROSSVALIDATION)
-        before = before.changed(crossvalidation=None)
-    if POPULATION not in same or damaged:
-        before.changed(status=Status.RUNNING).write(out)  # what is left is no finished run
-    for name in {*before.tests, *manifest.tests}.difference(kept):
-        remove_folder(out, folder_of(name))
-    population = before if POPULATION in same else None
-    return Resumed(resumed, population, COMPARISON in same, tuple(notes))
+        unchanged.remove(POPULATION)
+    resumed = _with_results(manifest, previous, kept_tests, folder)
+    if COMPARISON in unchanged and all(
+        (folder / posterior_of(n)).is_file() for n in manifest.fitted
+    ):
+        resumed = resumed.changed(comparison=previous.comparison)
+    notes += _notes([*kept_tests, *damaged], manifest, previous, folder)
+    if CROSSVALIDATION not in unchanged:
+        remove_folder(folder, CROSSVALIDATION)
+        previous = previous.changed(crossvalidation=None)
+    if POPULATION not in unchanged or damaged:
+        previous.changed(status=Status.RUNNING).write(folder)  # what is left is no finished run
+    for name in {*previous.tests, *manifest.tests}.difference(kept_tests):
+        remove_folder(folder, folder_of(name))
+    population = previous if POPULATION in unchanged else None
+    return Resumed(resumed, population, COMPARISON in unchanged, tuple(notes))
 
 
-def _check_resumable(manifest: Manifest, before: Manifest, out: Path) -> None:
+def _check_resumable(manifest: Manifest, previous: Manifest, root: Path) -> None:
     """Refuse to resume a run of other tests, or with another seed, effort or version."""
     for key in ("seed", "effort", "versions"):
-        old, new = getattr(before, key), getattr(manifest, key)
-        if old != new:
-            names = _differing(old, new) if isinstance(old, Mapping) else []
+        old_value, new_value = getattr(previous, key), getattr(manifest, key)
+        if old_value != new_value:
+            names = _differing(old_value, new_value) if isinstance(old_value, Mapping) else []
             raise StoreError(
-                f"{out} cannot be resumed: {key}{f' ({_listed(names)})' if names else ''} changed "
+                f"{root} cannot be resumed: {key}{f' ({_listed(names)})' if names else ''} changed "
                 "since it was started; give --force to start again"
             )
-    if not set(before.tests) & set(manifest.tests):
+    if not set(previous.tests) & set(manifest.tests):
         raise StoreError(
-            f"{out} cannot be resumed: it is a run of other tests ({_listed(before.tests)}); "
+            f"{root} cannot be resumed: it is a run of other tests ({_listed(previous.tests)}); "
             "give another folder, or --force to replace it"
         )
 
 
 def _with_results(
-    manifest: Manifest, before: Manifest, kept: Collection[str], out: Path
+    manifest: Manifest, previous: Manifest, kept_tests: Collection[str], folder: Path
 ) -> Manifest:
     """The manifest with what is kept of an earlier session.
 
     Hashes of other files are dropped: such a file is written again before its hash is, and a kill
     in between would leave a new file with an old hash.
     """
-    files = [name for name in map(posterior_of, kept) if (out / name).is_file()]
-    truth = before.truth
+    files = [name for name in map(posterior_of, kept_tests) if (folder / name).is_file()]
+    truth = previous.truth
     if truth is not None:
-        tests = {name: values for name, values in truth.tests.items() if name in kept}
+        tests = {name: values for name, values in truth.tests.items() if name in kept_tests}
         truth = truth.model_copy(update={"tests": tests})
-    machines = dict.fromkeys(tuple(m.items()) for m in (*before.machines, *manifest.machines))
+    machines = dict.fromkeys(tuple(m.items()) for m in (*previous.machines, *manifest.machines))
     resumed = manifest.changed(
-        files={n: before.files[n] for n in files if n in before.files},
+        files={n: previous.files[n] for n in files if n in previous.files},
         truth=truth or manifest.truth,
-        started=before.started,
-        seconds=before.seconds,
+        started=previous.started,
+        seconds=previous.seconds,
         machines=tuple(map(dict, machines)),
     )
-    for name in kept:
-        if before.tests[name].status == State.DONE:
-            seconds = before.tests[name].seconds
-            resumed = resumed.with_test(name, status=State.DONE, seconds=seconds)
+    for name in kept_tests:
+        if previous.tests[name].status == JobState.DONE:
+            seconds = previous.tests[name].seconds
+            resumed = resumed.with_test(name, status=JobState.DONE, seconds=seconds)
     return resumed
 
 
-def _notes(kept: Collection[str], manifest: Manifest, before: Manifest, out: Path) -> Iterable[str]:
+def _notes(
+    kept_tests: Collection[str], manifest: Manifest, previous: Manifest, folder: Path
+) -> Iterable[str]:
     """Sentences on finished tests that are not kept, and on another machine that computed some."""
-    lost = [n for n in before.tests if n not in kept and (out / posterior_of(n)).is_file()]
+    lost = [
+        n for n in previous.tests if n not in kept_tests and (folder / posterior_of(n)).is_file()
+    ]
     again = [name for name in lost if name in manifest.fitted]
-    gone = [name for name in lost if name not in again]
+    removed = [name for name in lost if name not in again]
     if again:
         yield f"what they rest on has changed, so they are sampled again: {_listed(again)}"
-    if gone:
-        yield f"no longer calibrated by this campaign, so removed: {_listed(gone)}"
-    (here,) = manifest.machines
-    for there in before.machines:
-        if names := _differing(there, here):
+    if removed:
+        yield f"no longer calibrated by this campaign, so removed: {_listed(removed)}"
+    (machine,) = manifest.machines
+    for old_machine in previous.machines:
+        if names := _differing(old_machine, machine):
             differ = "; ".join(
-                f"{name} was {there.get(name, 'none')}, is {here.get(name, 'none')}"
+                f"{name} was {old_machine.get(name, 'none')}, is {machine.get(name, 'none')}"
                 for name in names
             )
             yield (
@@ -212,12 +234,16 @@ def _notes(kept: Collection[str], manifest: Manifest, before: Manifest, out: Pat
             return
 
 
-def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
+def _differing(old_values: Mapping[str, str], new_values: Mapping[str, str]) -> list[str]:
     """Keys whose values differ."""
-    return [name for name in {**old, **new} if old.get(name) != new.get(name)]
+    return [
+        name
+        for name in {**old_values, **new_values}
+        if old_values.get(name) != new_values.get(name)
+    ]
 
 
 def _listed(names: Iterable[str]) -> str:
     """Names with commas; the first ten of many."""
-    first, rest = [*names][:10], [*names][10:]
-    return ", ".join(first) + (f", and {len(rest)} more" if rest else "")
+    head, tail = [*names][:10], [*names][10:]
+    return ", ".join(head) + (f", and {len(tail)} more" if tail else "")

@@ -22,12 +22,12 @@ from mfd_bayes.errors import (
 )
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
-from mfd_bayes.jobs.job import State
-from mfd_bayes.population.bands import THIS_TEST, Band, Forecast, Predictor
-from mfd_bayes.population.conditioning import Forecaster, predict_given
+from mfd_bayes.jobs.job import JobState
+from mfd_bayes.population.bands import THIS_TEST, Band, PredictionOptions, Predictor
+from mfd_bayes.population.conditioning import OnlinePredictor, predict_given
 from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.peaks import NO_EXCESS, SIDES, PeakExcess, Peaks, largest_speed
-from mfd_bayes.population.population import Ending, Population
+from mfd_bayes.population.population import FinalState, Population
 from mfd_bayes.records.loops import MeasuredCycles
 from mfd_bayes.records.record import NO_ACTUATION
 from mfd_bayes.records.trace import Trace, check_trace
@@ -40,17 +40,17 @@ from mfd_bayes.runs.folder import (
     posterior_of,
     record_of,
 )
-from mfd_bayes.runs.manifest import Manifest, Use, is_calibrated_model, read_manifest
+from mfd_bayes.runs.manifest import Fitness, Manifest, is_calibrated_model, read_manifest
 from mfd_bayes.runs.test_sequence import NO_GAP, TestSequence, stored_pooled
 from mfd_bayes.runs.tested_range import (
-    Departure,
-    Span,
-    departures,
+    Extrapolation,
+    Range,
+    extrapolations,
     kind_sentence,
     range_of,
     reach_of,
 )
-from mfd_bayes.runs.unit_system import System, named_system
+from mfd_bayes.runs.unit_system import UnitSystem, named_system
 from mfd_bayes.store.cards import counted, grid
 from mfd_bayes.store.netcdf import load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
@@ -68,8 +68,8 @@ Item = TypeVar("Item")
 class ByName(Mapping[str, Item]):
     """Items of a run by name, in their order; each is read when it is first asked for."""
 
-    def __init__(self, what: str, names: Iterable[str], read: Callable[[str], Item]) -> None:
-        self._what, self._names, self._read = what, tuple(names), read
+    def __init__(self, label: str, names: Iterable[str], read: Callable[[str], Item]) -> None:
+        self._what, self._names, self._read = label, tuple(names), read
         self._items: dict[str, Item] = {}
 
     def __getitem__(self, name: str) -> Item:
@@ -119,15 +119,15 @@ def open_run(folder: str | Path, *, trust: bool = False) -> Run:
     stored = check_stored(folder, PRIORS, manifest.files).name
     priors = load_priors(stored, folder, model, of_others=True)
     extras = Notebook(manifest.system)
-    done = [name for name in manifest.fitted if manifest.tests[name].status == State.DONE]
+    calibrated = [name for name in manifest.fitted if manifest.tests[name].status == JobState.DONE]
     held_out = [name for name in manifest.tests if name not in manifest.fitted]
-    if not done:
+    if not calibrated:
         raise StoreError(f"the run in {folder} has no calibrated test")
-    for name in (*map(posterior_of, done), *map(record_of, held_out)):
+    for name in (*map(posterior_of, calibrated), *map(record_of, held_out)):
         if not (folder / name).is_file():
             raise StoreError(f"{folder / name} is missing from the run")
     read_test = partial(_read_test, folder, manifest, priors, model, extras)
-    tests = ByName("calibrated test", done, read_test)
+    tests = ByName("calibrated test", calibrated, read_test)
     traces = ByName("held-out test", held_out, partial(_read_trace, folder, manifest))
     return Run(folder, manifest, priors, tests, traces, extras, trust=trust)
 
@@ -210,9 +210,9 @@ class Run:
         path = check_stored(self.folder, POPULATION, self.manifest.files)
         return load_population(path, self.priors, self.model)
 
-    def rewrite(self, **parts: Any) -> Run:
+    def rewrite(self, **updates: Any) -> Run:
         """The run with changed keys in its manifest; the manifest is written."""
-        manifest = self.manifest.changed(**parts)
+        manifest = self.manifest.changed(**updates)
         manifest.write(self.folder)
         return replace(self, manifest=manifest)
 
@@ -230,19 +230,19 @@ class Run:
         return level
 
     @cached_property
-    def system(self) -> System:
+    def system(self) -> UnitSystem:
         """System of units that most records were measured in, or of `units`."""
         return named_system(self.units, self.manifest.system)
 
     @cached_property
-    def tested(self) -> tuple[Span, ...]:
+    def tested(self) -> tuple[Range, ...]:
         """Smallest and largest stroke, speed, frequency and actuation of the calibrated tests."""
         tests = (self.manifest.tests[name].conditions for name in self.tests)
         actuated = self.manifest.axes.actuated
         spans = range_of(tests, self.actuation_unit)
         return tuple(span for span in spans if actuated or span.name != "actuation")
 
-    def departures(self, trace: Trace, test: str = "") -> tuple[Departure, ...]:
+    def extrapolations(self, trace: Trace, test: str = "") -> tuple[Extrapolation, ...]:
         """Where a motion leaves what was tested, in all tests or in one calibrated test."""
         check_trace("trace", trace, FitError)
         unit = self.actuation_unit
@@ -250,7 +250,7 @@ class Run:
         if test:
             entries = ByName("test", self.manifest.tests, self.manifest.tests.__getitem__)
             tested = range_of([entries[test].conditions], unit)
-        return departures(tested, reach_of(trace, unit))
+        return extrapolations(tested, reach_of(trace, unit))
 
     def session(self, name: str) -> str:
         """Session of a test, "" where the campaign declares none; NotThereError without it."""
@@ -305,7 +305,7 @@ class Run:
         speeds, excesses, computed = [], [], []
         for name, test in self.tests.items():
             motion, values = replace(test.trace, force=None), self.sequence.values(name)
-            forecast = Forecast(THIS_TEST, draws=PEAK_DRAWS, **self.place(name))
+            forecast = PredictionOptions(THIS_TEST, draws=PEAK_DRAWS, **self.place(name))
             force = self.predictor.repeat(motion, forecast, values).draws
             cycles = MeasuredCycles.from_content(self.manifest.tests[name].measured)
             offset = float(np.median(values["offset"]))
@@ -314,14 +314,14 @@ class Run:
             speeds.append(largest_speed(motion))
             excesses.append(measured - largest)
             computed.append(largest)
-        each = zip(SIDES, np.transpose(excesses), np.transpose(computed), strict=False)
+        sides = zip(SIDES, np.transpose(excesses), np.transpose(computed), strict=False)
         return dict(NO_EXCESS) | {
-            side: PeakExcess.of(excess, np.array(speeds), peak) for side, excess, peak in each
+            side: PeakExcess.of(excess, np.array(speeds), peak) for side, excess, peak in sides
         }
 
     @property
     def use(self) -> str:
-        """What the run may be used for, in the words of `Use`; "" where it was not judged."""
+        """What the run may be used for, in the words of `Fitness`; "" where it was not judged."""
         return self.manifest.verdicts.get("campaign", "")
 
     @property
@@ -332,7 +332,7 @@ class Run:
     @property
     def caution(self) -> str:
         """What the run may be used for, with the reason; "" where it is usable or not judged."""
-        if self.use not in (Use.NOT_USABLE, Use.WITH_CARE):
+        if self.use not in (Fitness.NOT_USABLE, Fitness.WITH_CARE):
             return ""
         return f"the run of this device is {self.use}: {self.verdict}"
 
@@ -356,7 +356,7 @@ class Run:
         test: str = "",
         whole: bool = False,
         given: tuple[float, float] | None = None,
-        after: str | Ending = "",
+        after: str | FinalState = "",
     ) -> Band:
         """Band of the force under any motion and actuation, tested or new.
 
@@ -405,12 +405,12 @@ class Run:
         if not self.manifest.axes.actuated:
             trace = replace(trace, actuation=self.level_of(NO_ACTUATION))
         if given is not None and (test or after):
-            other = f"a calibrated test ({test!r})" if test else f"after ({after!r})"
+            conflict = f"a calibrated test ({test!r})" if test else f"after ({after!r})"
             raise FitError(
-                f"given cannot be combined with {other}: the given part is of one new test, and "
+                f"given cannot be combined with {conflict}: the given part is of one new test, and "
                 "shows itself where in its gap the device stands"
             )
-        forecast = Forecast(
+        forecast = PredictionOptions(
             *(kind, probability, draws, seed, session, whole),
             device=device,
             conditions={**self.conditions, **(conditions or {})},
@@ -424,8 +424,8 @@ class Run:
         else:
             band = self.predictor.predict(trace, forecast)
         remarks = [
-            departure.sentence(self.system, widened=not test)
-            for departure in self.departures(trace, test)
+            extrapolation.sentence(self.system, widened=not test)
+            for extrapolation in self.extrapolations(trace, test)
         ]
         tests = [self.manifest.tests[name].conditions for name in ([test] if test else self.tests)]
         remarks += [kind] if (kind := kind_sentence(tests, trace)) and given is None else []
@@ -437,12 +437,14 @@ class Run:
     def _remarks(self, session: str, device: str, conditions: Collection[str]) -> list[str]:
         """Remarks of every band: an unusable run, what no test has, and what is not said."""
         remarks = []
-        followed = {c for those in self.population.design.dependence.values() for c in those}
+        followed = {
+            c for covariates in self.population.design.dependence.values() for c in covariates
+        }
         for name in CONDITIONS:
             if name in followed and name not in conditions:
-                usual = "the mean" if name == "temperature" else "the latest"
-                remarks.append(f"the {name} is not said: it is taken as {usual} of the tests")
-        if self.use == Use.NOT_USABLE:
+                default = "the mean" if name == "temperature" else "the latest"
+                remarks.append(f"the {name} is not said: it is taken as {default} of the tests")
+        if self.use == Fitness.NOT_USABLE:
             remarks.append(f"the run is not usable as it is: {self.verdict}")
         sessions = dict.fromkeys(self.manifest.settings.sessions.values())
         if session and session not in sessions:
@@ -454,12 +456,14 @@ class Run:
         if device and device not in self.devices:
             names = ", ".join(repr(name) for name in self.devices if name) or "without a name"
             several = f"the run has {len(self.devices)} devices, {names}"
-            one = f"all its tests are of one device, {names}, and how devices differ is not known"
-            has = several if len(self.devices) > 1 else one
+            single = (
+                f"all its tests are of one device, {names}, and how devices differ is not known"
+            )
+            has = several if len(self.devices) > 1 else single
             remarks.append(f"device {device!r} is taken for a new one: {has}")
         return remarks
 
-    def _repeat(self, trace: Trace, forecast: Forecast, name: str) -> Band:
+    def _repeat(self, trace: Trace, forecast: PredictionOptions, name: str) -> Band:
         """Band of what is known of one calibrated test."""
         if forecast.kind != THIS_TEST:
             raise FitError(f"a test ({name!r}) is for the kind this_test, not for {forecast.kind}")
@@ -469,22 +473,22 @@ class Run:
                 f"the kind this_test needs the id of a calibrated test: one of "
                 f"{', '.join(self.tests)}, got {name!r}{held_out}"
             )
-        test, own = self.tests[name], self.session(name)
+        test, session = self.tests[name], self.session(name)
         levels = test.trace.reference_actuation, trace.reference_actuation
         if np.isfinite(levels[1]) and not same_level(*levels):
-            made, other = (
+            test_level, new_level = (
                 self.system.words([level], self.actuation_unit, actuation=True) for level in levels
             )
             raise FitError(
-                f"test {name!r} was made at {made}, and the kind this_test knows nothing of "
-                f"{other}: take the kind new_test"
+                f"test {name!r} was made at {test_level}, and the kind this_test knows nothing of "
+                f"{new_level}: take the kind new_test"
             )
-        if forecast.session and forecast.session != own:
+        if forecast.session and forecast.session != session:
             raise FitError(
                 f"session {forecast.session!r} is for a new test: the kind this_test takes that of "
-                f"its test, {own!r}"
+                f"its test, {session!r}"
             )
-        forecast = replace(forecast, session=own)
+        forecast = replace(forecast, session=session)
         return self.predictor.repeat(trace, forecast, test.stored.values())
 
     def follow(
@@ -501,7 +505,7 @@ class Run:
         device: str = "",
         conditions: Mapping[str, float] | None = None,
         refresh: bool = True,
-    ) -> Forecaster:
+    ) -> OnlinePredictor:
         """Forecaster of a test that is about to run: its bands learn from the force as it comes.
 
         Parameters
@@ -536,17 +540,19 @@ class Run:
         setting = planned_setting(self.population.design.settings, actuation, session, planned)
         covariates = {**setting.covariates, **conditions}
         setting = replace(setting, device=device, covariates=covariates)
-        forecast = Forecast(kind, probability, draws, seed, session)
-        forecaster = Forecaster(self.predictor, setting, forecast, refresh=refresh)
+        forecast = PredictionOptions(kind, probability, draws, seed, session)
+        forecaster = OnlinePredictor(self.predictor, setting, forecast, refresh=refresh)
         unit = self.actuation_unit
         plan = {
             "stroke": 2.0 * setting.covariates["amplitude"],
             "speed": setting.covariates["velocity"],
             "actuation": setting.actuation,
         }
-        left = departures(self.tested, range_of([plan], unit))
-        said = {departure.reached.name for departure in left}
-        remarks = [departure.sentence(self.system, widened=True) for departure in left]
+        exceedances = extrapolations(self.tested, range_of([plan], unit))
+        reported = {extrapolation.reached.name for extrapolation in exceedances}
+        remarks = [
+            extrapolation.sentence(self.system, widened=True) for extrapolation in exceedances
+        ]
         remarks += self._remarks(session, device, conditions)
 
         def complete(band: Band, motion: Trace) -> Band:
@@ -554,11 +560,11 @@ class Run:
             reached = [
                 span
                 for span in reach_of(motion, unit)
-                if span.name not in said
+                if span.name not in reported
                 and (span.name not in ("stroke", "speed") or span.highest > plan[span.name])
             ]
-            outside = [d.sentence(self.system) for d in departures(self.tested, reached)]
-            return replace(band, remarks=(*outside, *remarks, *band.remarks), extras=self.extras)
+            sentences = [d.sentence(self.system) for d in extrapolations(self.tested, reached)]
+            return replace(band, remarks=(*sentences, *remarks, *band.remarks), extras=self.extras)
 
         forecaster.complete = complete
         return forecaster

@@ -18,10 +18,10 @@ from mfd_bayes.units import actuation_kind
 
 def stated_conditions(command: Any) -> dict[str, float]:
     """Date, count of cycles and temperature of a command, as a campaign reads them."""
-    given = {name: getattr(command, name) for name in CONDITIONS}
-    given = {name: value for name, value in given.items() if value not in ("", None)}
+    conditions = {name: getattr(command, name) for name in CONDITIONS}
+    conditions = {name: value for name, value in conditions.items() if value not in ("", None)}
     try:
-        return TestTable.model_validate({"id": "x", "file": "x.csv", **given}).conditions
+        return TestTable.model_validate({"id": "x", "file": "x.csv", **conditions}).conditions
     except ValidationError as error:
         wrong = error.errors()[0]
         raise CampaignError(
@@ -45,5 +45,7 @@ def read_as_tests(run: Run, path: Path, actuation: str) -> Record:
     stated = run.manifest.settings.columns.given
     names, axes = read_table(path).names, run.system.axes
     columns = {role: c.source for role, c in stated.items() if role != "actuation"}
-    there = all(c.key in names or c.name is None for r, c in stated.items() if r in columns)
-    return read_record(path, columns if columns and there else None, actuation=actuation, axes=axes)
+    has_columns = all(c.key in names or c.name is None for r, c in stated.items() if r in columns)
+    return read_record(
+        path, columns if columns and has_columns else None, actuation=actuation, axes=axes
+    )

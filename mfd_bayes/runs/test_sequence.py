@@ -14,8 +14,8 @@ from mfd_bayes.errors import (
     FitError,
     StoreError,
 )
-from mfd_bayes.population.bands import THIS_TEST, Forecast, Predictor
-from mfd_bayes.population.population import Ending, Population
+from mfd_bayes.population.bands import THIS_TEST, PredictionOptions, Predictor
+from mfd_bayes.population.population import FinalState, Population
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import (
     check_stored,
@@ -48,85 +48,91 @@ class TestSequence:
         pooled has the median of the test's own posterior; where nothing is, its draws are taken.
         """
         test = self.tests[name]
-        own, pooled = test.stored.values(), self.pooled(name)
+        draws, pooled = test.stored.values(), self.pooled(name)
         if not pooled or ("start" in test.posterior.names and "start" not in pooled):
-            return own
+            return draws
         size = len(next(iter(pooled.values())))
-        return {**{k: np.full(size, np.median(v)) for k, v in own.items()}, **pooled}
+        return {**{k: np.full(size, np.median(v)) for k, v in draws.items()}, **pooled}
 
-    def before(self, test: str, trace: Trace, forecast: Forecast) -> Ending | None:
+    def before(self, test: str, trace: Trace, forecast: PredictionOptions) -> FinalState | None:
         """Where a test of the campaign begins; None where nothing is known of that."""
         return self.ending(self.manifest.settings.tests[test].after, trace, forecast, test)
 
-    def begun(self, forecast: Forecast, trace: Trace, after: str | Ending) -> Forecast:
+    def begun(
+        self, forecast: PredictionOptions, trace: Trace, predecessor: str | FinalState
+    ) -> PredictionOptions:
         """The forecast of a motion that follows a test, or begins where one ended."""
-        if isinstance(after, Ending):
-            return replace(forecast, before=after)
+        if isinstance(predecessor, FinalState):
+            return replace(forecast, before=predecessor)
         names = [*self.tests, *self.motions]
-        if after not in names:
+        if predecessor not in names:
             raise FitError(
                 f"after must be the id of a test of the run, one of {', '.join(names)}, got "
-                f"{after!r}"
+                f"{predecessor!r}"
             )
-        return replace(forecast, before=self.ending(after, trace, forecast))
+        return replace(forecast, before=self.ending(predecessor, trace, forecast))
 
-    def ending(self, after: str, trace: Trace, forecast: Forecast, test: str = "") -> Ending | None:
+    def ending(
+        self, predecessor: str, trace: Trace, forecast: PredictionOptions, test: str = ""
+    ) -> FinalState | None:
         """Where a motion begins that follows a test; None where nothing is known of that.
 
         From the last displacement of the test to the first of the motion the device is moved
         slowly, by way of what the windows leave out.
         """
-        if not after or not self.predictor.model.has_gap:
+        if not predecessor or not self.predictor.model.has_gap:
             return None
-        chain, order = [after], self.manifest.settings.order
-        while chain[-1] in self.motions and order.get(chain[-1], after) not in chain:
+        chain, order = [predecessor], self.manifest.settings.order
+        while chain[-1] in self.motions and order.get(chain[-1], predecessor) not in chain:
             chain.append(order[chain[-1]])  # back to one with a posterior, or that follows none
-        place: Ending | None = None
+        end: FinalState | None = None
         for name, following in zip(reversed(chain), [*reversed(chain[:-1]), ""], strict=True):
-            place = self._ended(name, replace(forecast, before=place))
-            if place is None:
+            end = self._ended(name, replace(forecast, before=end))
+            if end is None:
                 continue
-            last = self.tests[name].trace if name in self.tests else self.motions[name]
-            first = self.motions[following] if following else trace
+            last_trace = self.tests[name].trace if name in self.tests else self.motions[name]
+            next_trace = self.motions[following] if following else trace
             way = self._between(name, following or test)
-            way = last.displacement[-1], *way, first.displacement[0]
-            place = place.moved(self.predictor.model, way)
-        return place
+            way = last_trace.displacement[-1], *way, next_trace.displacement[0]
+            end = end.moved(self.predictor.model, way)
+        return end
 
     def _between(self, name: str, following: str) -> tuple[float, ...]:
         """Ends and turns of the records between the windows of two tests, in.
 
         Of two windows in one file it is what lies between them. "" is a new motion.
         """
-        rest = self.manifest.tests[name].after
+        tail = self.manifest.tests[name].after
         if not following:
-            return rest
+            return tail
         lead, tests = self.manifest.tests[following].before, self.manifest.settings.tests
-        return lead if tests[name].file == tests[following].file else (*rest, *lead)
+        return lead if tests[name].file == tests[following].file else (*tail, *lead)
 
-    def _ended(self, name: str, forecast: Forecast) -> Ending | None:
+    def _ended(self, name: str, forecast: PredictionOptions) -> FinalState | None:
         """Where a test ended: by its posterior, or as it is predicted after the one before."""
         model = self.predictor.model
         if name in self.tests:
             values = self.values(name)
             total = len(values["start"])
             pick = np.linspace(0, total - 1, min(forecast.draws, total)).astype(np.intp)
-            taken = {quantity: draws[pick] for quantity, draws in values.items()}
-            return Ending.of(model, name, self.tests[name].trace, taken)
+            samples = {quantity: draws[pick] for quantity, draws in values.items()}
+            return FinalState.of(model, name, self.tests[name].trace, samples)
         if name not in self.motions:
             return None  # it could not be calibrated
         kind = "new_test" if forecast.kind == THIS_TEST else forecast.kind
         settings, trace = self.manifest.settings, self.motions[name]
-        own = replace(
+        test_forecast = replace(
             forecast,
             kind=kind,
             session=settings.sessions[name],
             device=settings.devices[name],
             conditions=settings.conditions[name],
         )
-        drawn = self.predictor.draw(trace, own, np.random.default_rng((forecast.seed, 2)))
-        values = self.predictor.values(drawn)
-        return replace(Ending.of(model, name, trace, values, drawn.scales or None), predicted=True)
+        draw = self.predictor.draw(trace, test_forecast, np.random.default_rng((forecast.seed, 2)))
+        values = self.predictor.values(draw)
+        return replace(
+            FinalState.of(model, name, trace, values, draw.scales or None), predicted=True
+        )
 
 
 def stored_pooled(

@@ -11,7 +11,7 @@ from mfd_bayes.population.design import SAME_LEVEL
 from mfd_bayes.population.population import RATE, STROKE
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.unit_system import System
+from mfd_bayes.runs.unit_system import UnitSystem
 
 MARGIN = 0.1
 """A stroke, speed or frequency within this share of a tested one counts as tested."""
@@ -32,7 +32,7 @@ _MARGINS = {"stroke": MARGIN, "speed": MARGIN, "frequency": MARGIN, "actuation":
 
 
 @dataclass(frozen=True)
-class Span:
+class Range:
     """Smallest and largest value of one condition, in its internal unit."""
 
     name: str
@@ -40,7 +40,7 @@ class Span:
     lowest: float
     highest: float
 
-    def words(self, system: System) -> str:
+    def words(self, system: UnitSystem) -> str:
         """Both values with their unit, such as "500 to 1500 psi"."""
         actuation = self.name == "actuation"
         ends = self.lowest, self.highest
@@ -48,11 +48,11 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Departure:
+class Extrapolation:
     """A condition of a motion that lies outside what was tested."""
 
-    reached: Span
-    tested: Span
+    reached: Range
+    tested: Range
 
     @property
     def times(self) -> float:
@@ -70,16 +70,16 @@ class Departure:
         low = self.tested.lowest * (1.0 - margin) / FAR
         return self.reached.name == "actuation" and self.reached.lowest < low
 
-    def sentence(self, system: System, *, widened: bool = False) -> str:
+    def sentence(self, system: UnitSystem, *, widened: bool = False) -> str:
         """What lies outside, of what, and what a band, `widened` for it or not, rests on there."""
         name, times = self.reached.name, self.times
         form = "the form of the laws" if name == "actuation" else "the form of the model"
         rests = f"relies only on {form}"
         if widened and name != "actuation":
             of_stroke = name == "stroke"
-            what, slope = ("slip force and gap", STROKE) if of_stroke else ("slip force", RATE)
+            subject, slope = ("slip force and gap", STROKE) if of_stroke else ("slip force", RATE)
             rests = (
-                f"is wider, by what {what} may do ({100 * slope:.0f} % for each factor of 2.7), "
+                f"is wider, by what {subject} may do ({100 * slope:.0f} % for each factor of 2.7), "
                 f"but relies on {form}"
             )
         return (
@@ -138,7 +138,7 @@ def kind_sentence(tests: Iterable[Mapping[str, float]], trace: Trace) -> str:
     )
 
 
-def range_of(tests: Iterable[Mapping[str, float]], actuation_unit: str) -> tuple[Span, ...]:
+def range_of(tests: Iterable[Mapping[str, float]], actuation_unit: str) -> tuple[Range, ...]:
     """Smallest and largest value of each condition among tests, of `conditions_of`."""
     several = list(tests)
     spans = []
@@ -146,11 +146,11 @@ def range_of(tests: Iterable[Mapping[str, float]], actuation_unit: str) -> tuple
         values = [test[name] for test in several if name in test]
         if values:
             unit = _UNITS.get(name, actuation_unit)
-            spans.append(Span(name, unit, min(values), max(values)))
+            spans.append(Range(name, unit, min(values), max(values)))
     return tuple(spans)
 
 
-def reach_of(trace: Trace, actuation_unit: str) -> tuple[Span, ...]:
+def reach_of(trace: Trace, actuation_unit: str) -> tuple[Range, ...]:
     """As `conditions`, but with the least and the largest actuation of a history."""
     reached, levels = conditions_of(trace), np.atleast_1d(trace.actuation)
     if not np.all(np.isfinite(levels)):
@@ -160,25 +160,27 @@ def reach_of(trace: Trace, actuation_unit: str) -> tuple[Span, ...]:
     return range_of(ends, actuation_unit)
 
 
-def departures(tested: Iterable[Span], reached: Iterable[Span]) -> tuple[Departure, ...]:
+def extrapolations(tested: Iterable[Range], reached: Iterable[Range]) -> tuple[Extrapolation, ...]:
     """Which of the reached conditions lie outside what was tested.
 
     A peak speed below those of the tests is none: every test passes through all speeds down to
     rest. A stroke below is one, for the damper may then not slip at all.
     """
     by_name = {span.name: span for span in reached}
-    outside = []
-    for own in tested:
-        span, margin = by_name.get(own.name), _MARGINS[own.name]
+    extrapolations = []
+    for tested_span in tested:
+        span, margin = by_name.get(tested_span.name), _MARGINS[tested_span.name]
         if span is None:
             continue
-        above = span.highest > own.highest * (1.0 + margin)
-        below = span.lowest < own.lowest * (1.0 - margin) and own.name != "speed"
-        if above or below:
-            outside.append(Departure(span, own))
-    return tuple(outside)
+        is_above = span.highest > tested_span.highest * (1.0 + margin)
+        is_below = span.lowest < tested_span.lowest * (1.0 - margin) and tested_span.name != "speed"
+        if is_above or is_below:
+            extrapolations.append(Extrapolation(span, tested_span))
+    return tuple(extrapolations)
 
 
-def far_sentences(outside: Iterable[Departure], system: System) -> str:
-    """The departures that are far, as one text; empty where there are none."""
-    return "; ".join(departure.sentence(system) for departure in outside if departure.far)
+def extrapolation_messages(extrapolations: Iterable[Extrapolation], system: UnitSystem) -> str:
+    """The extrapolations that are far, as one text; empty where there are none."""
+    return "; ".join(
+        extrapolation.sentence(system) for extrapolation in extrapolations if extrapolation.far
+    )

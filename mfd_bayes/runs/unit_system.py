@@ -40,7 +40,7 @@ _CUSTOMARY = re.compile(
 
 
 @dataclass(frozen=True)
-class System:
+class UnitSystem:
     """Units of a report."""
 
     name: str
@@ -72,16 +72,16 @@ class System:
         if internal == "s" and not self.axes.timed:
             return "samples"
         units = {"kip": self.force, "in": self.length, "ksi": self.pressure}
-        level, shown = self.level
+        level, level_unit = self.level
         if level:
-            units[level] = shown
+            units[level] = level_unit
         if not self.axes.of_damper:
-            own = ((self.axes.motion, self.length), (self.axes.response, self.force))
-            units |= {axis.unit: unit for axis, unit in own if _WORD.fullmatch(axis.unit)}
+            axis_units = ((self.axes.motion, self.length), (self.axes.response, self.force))
+            units |= {axis.unit: unit for axis, unit in axis_units if _WORD.fullmatch(axis.unit)}
         text = in_place_of(internal, units)
         if "*" not in level:
             return text
-        return re.sub(rf"(?<![A-Za-z]){re.escape(level)}(?![A-Za-z])", shown, text)
+        return re.sub(rf"(?<![A-Za-z]){re.escape(level)}(?![A-Za-z])", level_unit, text)
 
     def factor(self, internal: str) -> float:
         """Factor from an internal unit to this system's."""
@@ -102,11 +102,11 @@ class System:
 
         An actuation is given in psi or lbf in the customary system, as it is set in tests.
         """
-        by, unit = self.factor(internal), self.unit(internal).replace("*", "·")
+        scale, unit = self.factor(internal), self.unit(internal).replace("*", "·")
         if actuation:
-            by, unit = self.of_actuation(internal)
-        shown = dict.fromkeys(in_digits(value * by, digits) for value in values)
-        return f"{' to '.join(shown)}{f' {unit}' if unit != '1' else ''}"
+            scale, unit = self.of_actuation(internal)
+        texts = dict.fromkeys(in_digits(value * scale, digits) for value in values)
+        return f"{' to '.join(texts)}{f' {unit}' if unit != '1' else ''}"
 
     def actuation(self, trace: Trace, unit: str) -> str:
         """Actuation of a trace in words, "" of none; `unit` is the internal one, such as "ksi"."""
@@ -116,32 +116,32 @@ class System:
         return f"{text} (mean of a history)" if trace.varying else text
 
 
-US = System("us", "kip and in", "in", "kip", "ksi")
-SI = System("si", "kN and mm", "mm", "kN", "MPa")
-US_SMALL = System("us", "lbf and in", "in", "lbf", "psi")
-SI_SMALL = System("si", "N and mm", "mm", "N", "MPa")
+US = UnitSystem("us", "kip and in", "in", "kip", "ksi")
+SI = UnitSystem("si", "kN and mm", "mm", "kN", "MPa")
+US_SMALL = UnitSystem("us", "lbf and in", "in", "lbf", "psi")
+SI_SMALL = UnitSystem("si", "N and mm", "mm", "N", "MPa")
 SYSTEMS = (US, SI)
 
 
-def both_systems(own: System) -> tuple[System, System]:
-    """Customary and metric system for the same device, one of which is `own`."""
-    small = own.force in (US_SMALL.force, SI_SMALL.force)
+def both_systems(base: UnitSystem) -> tuple[UnitSystem, UnitSystem]:
+    """Customary and metric system for the same device, one of which is `base`."""
+    small = base.force in (US_SMALL.force, SI_SMALL.force)
     us, si = (
-        replace(system, level=own.level, axes=own.axes)
+        replace(system, level=base.level, axes=base.axes)
         for system in ((US_SMALL, SI_SMALL) if small else SYSTEMS)
     )
-    if not own.axes.of_damper:
-        lengths = _in_both(own.axes.motion, own.length)
-        forces = _in_both(own.axes.response, own.force)
+    if not base.axes.of_damper:
+        lengths = _in_both(base.axes.motion, base.length)
+        forces = _in_both(base.axes.response, base.force)
         us, si = (_in_units(us, lengths[0], forces[0]), _in_units(si, lengths[1], forces[1]))
-    return (us, own) if own.name == si.name else (own, si)
+    return (us, base) if base.name == si.name else (base, si)
 
 
-def named_system(name: str, own: System) -> System:
-    """System of units of a name, "us" or "si"; `own` where the name is empty."""
+def named_system(name: str, default: UnitSystem) -> UnitSystem:
+    """System of units of a name, "us" or "si"; `default` where the name is empty."""
     if not name:
-        return own
-    for system in both_systems(own):
+        return default
+    for system in both_systems(default):
         if system.name == name:
             return system
     raise UnitError(f"--units must be us (kip, in, ksi) or si (kN, mm, MPa), got {name!r}")
@@ -153,7 +153,7 @@ def system_of(
     actuations: Iterable[str] = (),
     axes: Axes = DAMPER,
     responses: Iterable[str] = (),
-) -> System:
+) -> UnitSystem:
     """System of units that records were measured in, fit for the size of their forces.
 
     `axes` are the model's own quantities, and `responses` the units of their response.
@@ -183,7 +183,7 @@ def system_of(
     return system if internal in _SET else replace(system, level=(internal, unit))
 
 
-def _in_units(system: System, length: str, force: str) -> System:
+def _in_units(system: UnitSystem, length: str, force: str) -> UnitSystem:
     """A system with the units of a user's own model."""
     title = " and ".join(unit for unit in (force, length) if unit != "1")
     return replace(system, title=title, length=length, force=force)
@@ -194,17 +194,17 @@ def _most_common(units: list[str], axis: Axis) -> str:
     return next((unit for unit, _ in Counter(filter(None, units)).most_common(1)), axis.unit)
 
 
-def _in_both(axis: Axis, own: str) -> tuple[str, str]:
+def _in_both(axis: Axis, unit: str) -> tuple[str, str]:
     """Customary and metric unit of an axis, one of which is that of the records."""
-    customary = bool(_CUSTOMARY.search(own))
+    customary = bool(_CUSTOMARY.search(unit))
     for pair in UNITS.values():
         try:
             convert(pair[0], axis.unit)
         except UnitError:
             continue
         if has_angle(pair[0]) == has_angle(axis.unit) and pair[0] != pair[1]:
-            return (own, pair[1]) if customary else (pair[0], own)
-    return own, own
+            return (unit, pair[1]) if customary else (pair[0], unit)
+    return unit, unit
 
 
 @cache

@@ -13,8 +13,8 @@ def card(title: str, facts: Iterable[tuple[str, str]], note: str = "") -> str:
         f'<td style="text-align:left">{escape(text)}</td></tr>'
         for name, text in facts
     )
-    below = f"<p>{escape(note)}</p>" if note else ""
-    return f"<div><strong>{escape(title)}</strong><table>{rows}</table>{below}</div>"
+    footer = f"<p>{escape(note)}</p>" if note else ""
+    return f"<div><strong>{escape(title)}</strong><table>{rows}</table>{footer}</div>"
 
 
 def grid(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], note: str = "") -> str:
@@ -23,9 +23,9 @@ def grid(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], note: s
     body = "".join(
         f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows
     )
-    below = f"<p>{escape(note)}</p>" if note else ""
+    footer = f"<p>{escape(note)}</p>" if note else ""
     table = f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
-    return f"<div><strong>{escape(title)}</strong>{table}{below}</div>"
+    return f"<div><strong>{escape(title)}</strong>{table}{footer}</div>"
 
 
 def counted(number: int, noun: str) -> str:

@@ -27,19 +27,19 @@ PART = ".part"
 def write_bytes(path: Path, content: bytes | memoryview) -> None:
     """Write a file under a temporary name in its folder, which is made, then rename it."""
     check_place(path)
-    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}{PART}")
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}{PART}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("xb") as file:  # with the modes that the umask leaves
+        with temporary.open("xb") as file:  # with the modes that the umask leaves
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        part.replace(path)
+        temporary.replace(path)
     except OSError as error:
         raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         with suppress(OSError):  # the folder became read-only; the next run removes it
-            part.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -149,18 +149,18 @@ AtLeastOne = Annotated[tuple[Item, ...], Field(min_length=1)]
 Three = Annotated[tuple[Figure, ...], Field(min_length=3, max_length=3)]
 
 
-def check(kind: type[Kind], content: Any, where: object) -> Kind:
+def check(kind: type[Kind], content: Any, source: object) -> Kind:
     """Content of a JSON file as a `Part`.
 
-    `where` is the file, for the message.
+    `source` is the file, for the message.
     """
     try:
         return kind.model_validate_json(json.dumps(content))  # strict, but lists become tuples
     except ValidationError as error:
         fault = error.errors(include_url=False)[0]
-        key = ".".join(str(part)[:60] for part in fault["loc"])
+        key = ".".join(str(segment)[:60] for segment in fault["loc"])
         raise StoreError(
-            f"{where} is damaged or of another version of this program: "
+            f"{source} is damaged or of another version of this program: "
             f"{f'{key}: ' if key else ''}{fault['msg'].removeprefix('Value error, ')}, "
             f"got {reprlib.repr(fault['input'])}"
         ) from None
@@ -200,12 +200,14 @@ RENAMED = {"fit": "window", "start": "initial", "spread": "sigma"}
 """Keys of files that have another name now."""
 
 
-def nearest(name: str, known: Collection[str]) -> str:
+def nearest(name: str, names: Collection[str]) -> str:
     """Hint for a name that is not among those known."""
-    if RENAMED.get(name) in known:
+    if RENAMED.get(name) in names:
         return f"it is {RENAMED[name]!r} now"
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {near[0]!r}?" if near else f"expected {', '.join(islice(known, 20))}"
+    matches = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    return (
+        f"did you mean {matches[0]!r}?" if matches else f"expected {', '.join(islice(names, 20))}"
+    )
 
 
 def faults_text(
@@ -220,11 +222,11 @@ def faults_text(
     `keys` tells the keys that a table may have, by its name and those of the tables around it.
     `name` is what the file calls a key of the schema. Tags of unions begin with a colon.
     """
-    found: list[str] = []
+    sentences: list[str] = []
     for fault in error.errors(include_url=False):
-        loc = [part for part in fault["loc"] if not str(part).startswith((":", "[key]"))]
+        loc = [segment for segment in fault["loc"] if not str(segment).startswith((":", "[key]"))]
         key, value = _place(content, loc, name)
-        at = f"{key} in {path}" if key else str(path)
+        location = f"{key} in {path}" if key else str(path)
         came, message = reprlib.repr(value), fault["msg"].removeprefix("Value error, ")
         if (
             fault["type"] == "too_short"
@@ -233,29 +235,31 @@ def faults_text(
         ):
             continue  # its entries have faults of their own, which are reported
         if fault["type"] == "extra_forbidden" or "[key]" in fault["loc"]:
-            tables = [part for part in loc[:-1] if isinstance(part, str)]
+            tables = [segment for segment in loc[:-1] if isinstance(segment, str)]
             section = f" in [{_place(content, loc[:-1], name)[0]}]" if tables else ""
             hint = nearest(str(loc[-1]), keys(tables))
-            found.append(f"unknown key {str(loc[-1])!r}{section} of {path}; {hint}")
+            sentences.append(f"unknown key {str(loc[-1])!r}{section} of {path}; {hint}")
         elif fault["type"] == "missing":
-            found.append(f"{key} is missing in {path}")
+            sentences.append(f"{key} is missing in {path}")
         elif fault["type"] == "tuple_type" and len(loc) == 1 and isinstance(value, dict):
-            found.append(f"a {key} in {path} begins with [[{key}]], in two brackets, not [{key}]")
+            sentences.append(
+                f"a {key} in {path} begins with [[{key}]], in two brackets, not [{key}]"
+            )
         elif fault["type"] == "tuple_type":
             is_text = isinstance(value, str) and value.isprintable()
             example = f' such as ["{value}"]' if is_text else ""
-            found.append(f"{at} should be a list{example}, got {came}")
+            sentences.append(f"{location} should be a list{example}, got {came}")
         elif fault["type"] == "model_type":
-            found.append(f"{at} should be a table, got {came}")
+            sentences.append(f"{location} should be a table, got {came}")
         elif message.startswith("Input should be"):
-            found.append(f"{at} {message.removeprefix('Input ')}, got {came}")
+            sentences.append(f"{location} {message.removeprefix('Input ')}, got {came}")
         else:
-            found.append(
-                f"{at}: {message}" + ("" if came in message or not loc else f", got {came}")
+            sentences.append(
+                f"{location}: {message}" + ("" if came in message or not loc else f", got {came}")
             )
-    found = list(dict.fromkeys(found))
-    more = "; and more" if len(found) > MOST_FAULTS else ""
-    return "; ".join(f"{sentence:.400}" for sentence in found[:MOST_FAULTS]) + more
+    sentences = list(dict.fromkeys(sentences))
+    suffix = "; and more" if len(sentences) > MOST_FAULTS else ""
+    return "; ".join(f"{sentence:.400}" for sentence in sentences[:MOST_FAULTS]) + suffix
 
 
 def _place(content: Any, loc: Loc, name: Callable[[str], str]) -> tuple[str, Any]:
@@ -264,16 +268,16 @@ def _place(content: Any, loc: Loc, name: Callable[[str], str]) -> tuple[str, Any
     An entry of a list is called by its id, or by its number from 1.
     """
     text, value = "", content
-    for part in loc:
+    for segment in loc:
         try:
-            value = value[part]
+            value = value[segment]
         except (KeyError, IndexError, TypeError):
             value = None
-        if isinstance(part, int):
-            own = value.get("id") if isinstance(value, dict) else None
-            text += f" {own!r}" if isinstance(own, str) else f" {part + 1}"
+        if isinstance(segment, int):
+            entry_id = value.get("id") if isinstance(value, dict) else None
+            text += f" {entry_id!r}" if isinstance(entry_id, str) else f" {segment + 1}"
         else:
-            text += f".{name(part)}" if text else name(part)
+            text += f".{name(segment)}" if text else name(segment)
     return text, value
 
 
@@ -284,5 +288,5 @@ def quoted(text: str) -> str:
 
 def commented(text: str) -> str:
     """TOML comment of a text: on one line, with escapes for all that cannot be printed."""
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    return f"# {shown}"
+    escaped = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return f"# {escaped}"

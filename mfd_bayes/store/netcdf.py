@@ -208,8 +208,8 @@ def _posterior(
     data = {}
     for name, values in arrays.items():
         extra = tuple(f"{name}_dim_{i}" for i in range(values.ndim - 2))
-        about = {"units": units[name]} if name in units else {}
-        data[name] = ((*_CHAINS, *extra), values, about)
+        attrs = {"units": units[name]} if name in units else {}
+        data[name] = ((*_CHAINS, *extra), values, attrs)
     return xr.Dataset(data, coords=_numbers(arrays), attrs={"facts": json_text(facts)})
 
 
@@ -238,7 +238,7 @@ def _trace_groups(trace: Trace) -> dict[str, xr.Dataset]:
 def _trace_of(groups: Mapping[str, Group]) -> Trace:
     constant = groups["constant_data"].arrays
     actuation = np.asarray(constant["actuation"])
-    _, time, about = groups["constant_data"].variables["time"]
+    _, time, attrs = groups["constant_data"].variables["time"]
     trace = Trace.from_arrays(
         time,
         constant["displacement"],
@@ -246,7 +246,7 @@ def _trace_of(groups: Mapping[str, Group]) -> Trace:
         groups["observed_data"].arrays["force"],
         constant["velocity"],
     )
-    return replace(trace, timed=about.get("units") != "1")
+    return replace(trace, timed=attrs.get("units") != "1")
 
 
 def _write_groups(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
@@ -274,15 +274,15 @@ def _opened(path: Path, *names: str) -> Iterator[dict[str, Group]]:
     try:
         with h5py.File(path, "r") as file:
             members = {name: _member(file, name) for name in names}
-            most = path.stat().st_size
-            groups = {name: _read_group(group, most) for name, group in members.items()}
+            size = path.stat().st_size
+            groups = {name: _read_group(group, size) for name, group in members.items()}
         yield groups
     except Exception as error:  # h5py, h5netcdf and xarray raise a dozen kinds
         reason = " ".join(str(error).split())
         raise StoreError(f"{path} is damaged or not of this program: {reason}") from error
 
 
-def _read_group(group: h5py.Group, most: int) -> Group:
+def _read_group(group: h5py.Group, max_bytes: int) -> Group:
     """Variables of a group, of at most so many bytes each; a coordinate is named as its dimension.
 
     This program writes plain numbers: what is packed could be larger than the file, or a plugin's.
@@ -295,16 +295,16 @@ def _read_group(group: h5py.Group, most: int) -> Group:
             continue
         if data.dtype.kind not in "fiub" or data.external:
             raise ValueError(f"{name} holds no numbers of its own")
-        if data.id.get_storage_size() != data.nbytes or data.nbytes > most:
+        if data.id.get_storage_size() != data.nbytes or data.nbytes > max_bytes:
             raise ValueError(f"{name} is packed, or larger than the file")
         dims = [(dim[0].name if len(dim) else data.name).rpartition("/")[2] for dim in data.dims]
-        about = {key: data.attrs[key] for key in data.attrs.keys() - _FORMAT_ATTRIBUTES}
-        if packed := {"scale_factor", "add_offset"} & about.keys():
+        attrs = {key: data.attrs[key] for key in data.attrs.keys() - _FORMAT_ATTRIBUTES}
+        if packed := {"scale_factor", "add_offset"} & attrs.keys():
             raise ValueError(f"{name} has the attribute {min(packed)}")
         values = np.asarray(data[()])
         if any(sizes.setdefault(d, n) != n for d, n in zip(dims, values.shape, strict=True)):
             raise ValueError(f"the dimensions of {name} do not fit those of others")
-        variables[name] = (dims, values, about)
+        variables[name] = (dims, values, attrs)
     return Group(variables, dict(group.attrs))
 
 

@@ -41,7 +41,7 @@ def test_a_family_is_scipys(prior, law):
     assert np.all(np.diff(q) > 0)
     slope = (prior.value(q + step) - prior.value(q - step)) / (2 * step)
     np.testing.assert_allclose(prior.log_density(q), law.logpdf(x) + np.log(slope), atol=1e-6)
-    assert prior.typical == pytest.approx(law.ppf(0.5), rel=1e-9)
+    assert prior.median == pytest.approx(law.ppf(0.5), rel=1e-9)
     # normalised, and low but a number far out
     low, middle, high = prior.coordinate(law.ppf([1e-9, 0.5, 1 - 1e-9]))
     edges = np.linspace(3 * low - 2 * middle, 3 * high - 2 * middle, 80)

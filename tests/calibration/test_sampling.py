@@ -10,11 +10,17 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import (
     Mixture,
     Proposal,
-    climb,
-    learn,
+    fit_proposal,
     least_squares,
+    maximize,
 )
-from mfd_bayes.calibration.sampling import JUMPS, Independent, evolution, sample, sample_density
+from mfd_bayes.calibration.sampling import (
+    JUMPS,
+    IndependenceMove,
+    evolution,
+    sample,
+    sample_density,
+)
 from mfd_bayes.errors import FitError
 from mfd_bayes.records.trace import Trace
 
@@ -38,7 +44,7 @@ def bent(q):
 
 
 def draws_of(density, begin, seed=1, effort=EFFORT, **more):
-    modes = [climb(density, begin, SD)]
+    modes = [maximize(density, begin, SD)]
     return sample_density(density, modes, effort, np.random.default_rng(seed), **more)
 
 
@@ -87,7 +93,7 @@ def exact(n, seed=20):
     return MEAN + np.random.default_rng(seed).normal(size=(n, DIM)) @ FACTOR.T
 
 
-LEARNED = learn(
+LEARNED = fit_proposal(
     exact(4000),
     3,
     np.random.default_rng(21),
@@ -101,7 +107,7 @@ NARROW = Mixture(
 )
 
 
-class Forgetful(Independent):
+class Forgetful(IndependenceMove):
     """The wrong way: proposals from a mixture, accepted as if they were symmetric."""
 
     def propose(self, model, state):
@@ -135,10 +141,10 @@ def sampled(chains):
 @pytest.mark.parametrize(
     ("moves", "steps", "right"),
     [
-        ([(Independent(NARROW, np.random.default_rng(1)), 1.0)], 1500, True),
+        ([(IndependenceMove(NARROW, np.random.default_rng(1)), 1.0)], 1500, True),
         (
             [
-                (Independent(LEARNED, np.random.default_rng(1)), JUMPS),
+                (IndependenceMove(LEARNED, np.random.default_rng(1)), JUMPS),
                 *evolution(DIM, ENSEMBLES, 1.0 - JUMPS),
             ],
             800,
@@ -163,7 +169,7 @@ def test_the_harness_rejects_draws_that_are_slightly_too_wide_or_shifted():
 
 
 def test_a_climb_ends_at_the_mode_with_its_covariance():
-    mode = climb(normal, MEAN + 2.0 * SD, SD)
+    mode = maximize(normal, MEAN + 2.0 * SD, SD)
     assert np.all(np.abs(mode.q - MEAN) < 0.01 * SD)
     np.testing.assert_allclose(mode.covariance, COVARIANCE, rtol=1e-4)
     mass = 0.5 * (DIM * np.log(2 * np.pi) + np.linalg.slogdet(COVARIANCE)[1])

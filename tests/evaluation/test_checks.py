@@ -24,7 +24,7 @@ from mfd_bayes.evaluation.checks import (
 from mfd_bayes.evaluation.summary import assess, noise_rows, verdict_sentences, views_of_tests
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.jobs import local
-from mfd_bayes.population.design import Setting
+from mfd_bayes.population.design import TestConditions
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import Symbols
@@ -186,7 +186,7 @@ def test_a_stored_file_that_is_gone_is_no_fault_of_its_test(tmp_path):
 
 @pytest.mark.parametrize(("moved", "named"), [(0, []), (2, []), (4, ["gap", "Fc_bwd"])])
 def test_a_device_value_that_most_tests_do_not_have_is_named(moved, named):
-    population = make_population([Setting(1.0)] * 6, scatter=0.05, shape=(4, 25))
+    population = make_population([TestConditions(1.0)] * 6, scatter=0.05, shape=(4, 25))
     tests = {}
     for number in range(6):
         by = {"Fc_bwd": 1.6, "d2": 2.0} if number < moved else {}

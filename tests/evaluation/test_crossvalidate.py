@@ -9,7 +9,7 @@ import pytest
 from mfd_bayes.applications.comparison.crossvalidation import FOLDER, Fold, folds_of, parts_of
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.summary import left_out_view
-from mfd_bayes.population.design import Setting
+from mfd_bayes.population.design import TestConditions
 from mfd_bayes.runs.manifest import CampaignCrossValidation, Prediction, Score
 from mfd_bayes.runs.resume import with_keys
 from mfd_bayes.runs.run import open_run
@@ -38,7 +38,7 @@ def test_folds_of_a_run_rest_on_its_laws_and_posteriors(made_run):
 
 def test_a_part_is_left_out_only_where_another_has_an_actuation():
     def settings(*levels):
-        return {f"t{i}": Setting(level) for i, level in enumerate(levels)}
+        return {f"t{i}": TestConditions(level) for i, level in enumerate(levels)}
 
     found = parts_of(settings(0.0, 0.03, 0.0, 0.036), "level", "kip", "a.toml")
     assert found == {"0 lbf": ("t0", "t2"), "30 lbf": ("t1",), "36 lbf": ("t3",)}

@@ -83,7 +83,7 @@ def test_cycles_of_a_harmonic_record_are_its_periods():
     assert (cycles[0], cycles[-1], len(cycles) - 1) == (0, trace.samples, 6)
     assert set(cycles[1:-1]) <= set(trace.turning_points)
     np.testing.assert_allclose(np.diff(trace.time[cycles[1:-1]]), 1.0, atol=0.02)
-    assert find_cycles(trace, first=100)[0] == 100
+    assert find_cycles(trace, start=100)[0] == 100
     # what is left at the end is joined to the last cycle: a quarter of a period after a turn
     assert np.diff(find_cycles(harmonic(seconds=4.0))).min() >= 0.5 * 64
     with pytest.raises(FitError, match=rf"at least {FEWEST_CYCLES} cycles, got 2"):

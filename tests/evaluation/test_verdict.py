@@ -9,7 +9,7 @@ from mfd_bayes.evaluation.checks import GROSS, coverage_checks, feature_check
 from mfd_bayes.evaluation.summary import judge, use_of, verdict_sentences
 from mfd_bayes.evaluation.views import LOOP_ESTIMATE, MODES, Check
 from mfd_bayes.messages import Message, join
-from mfd_bayes.runs.manifest import Finding, Use, Verdict
+from mfd_bayes.runs.manifest import CheckStatus, Finding, Fitness
 from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.units import DAMPER
 
@@ -49,7 +49,7 @@ TESTS = ("t25lb", "t35lb", "t70lb", "t80lb")
 def test_the_verdict_of_a_run_with_a_swapped_sign_names_the_test_and_the_sign():
     judged = judge(TESTS, CHECKS, [SWAPPED])
     assert [j.subject for j in judged][:2] == ["t70lb", "t25lb"]
-    assert use_of(judged, CHECKS) == Use.NOT_USABLE
+    assert use_of(judged, CHECKS) == Fitness.NOT_USABLE
     text = sentence(CHECKS, judged)
     assert text.startswith(
         "Something is wrong with 1 of 4 tests. t70lb: energy per cycle -5.31 kip·in where 0.299 "
@@ -63,43 +63,48 @@ def test_the_verdict_of_a_run_with_a_swapped_sign_names_the_test_and_the_sign():
 
 def test_a_figure_is_judged_by_its_size_and_its_p_value():
     for expected, p_value, status in (
-        (5.1, 0.0, Verdict.PASS),  # 2 % off: nobody minds, however many samples say so
-        (5.5, 0.0, Verdict.WARNING),
-        (5.0 * (1 + 0.05 * GROSS) + 0.1, 0.0, Verdict.FAIL),
+        (5.1, 0.0, CheckStatus.PASS),  # 2 % off: nobody minds, however many samples say so
+        (5.5, 0.0, CheckStatus.WARNING),
+        (5.0 * (1 + 0.05 * GROSS) + 0.1, 0.0, CheckStatus.FAIL),
     ):
         assert energy("a", 5.0, expected, p_value).status == status
 
 
 def test_a_band_is_judged_by_too_few_inside():
     for shares, status in (
-        ({"nearly": 0.53}, Verdict.WARNING),
-        ({"half": 0.7}, Verdict.NOTE),
-        ({"nearly": 0.3}, Verdict.FAIL),
-        ({"nearly": 1.0}, Verdict.PASS),
+        ({"nearly": 0.53}, CheckStatus.WARNING),
+        ({"half": 0.7}, CheckStatus.NOTE),
+        ({"nearly": 0.3}, CheckStatus.FAIL),
+        ({"nearly": 1.0}, CheckStatus.PASS),
     ):
         checks = band("a", **shares)
         assert status in {check.status for check in checks}
         (judged,) = judge(["a"], checks, [])
-        assert (judged.use == Use.USABLE) == (status in (Verdict.PASS, Verdict.NOTE))
+        assert (judged.use == Fitness.USABLE) == (status in (CheckStatus.PASS, CheckStatus.NOTE))
 
 
 def check(name, feature, status, observed=1.2, expected=1.01, unit=""):
     return Check("a", name, feature, observed, expected, status, unit)
 
 
-SLIP = check(LOOP_ESTIMATE, "Fc_fwd", Verdict.FAIL, 0.931, 0.083, "kip")
+SLIP = check(LOOP_ESTIMATE, "Fc_fwd", CheckStatus.FAIL, 0.931, 0.083, "kip")
 TWO = (MODES, "posterior (60 %, 40 % of the draws)")
 
 
 @pytest.mark.parametrize(
     ("checks", "findings", "use", "words"),
     [
-        ([energy("a", -5.31, 0.3)], [], Use.NOT_USABLE, "displacement is probably swapped"),
-        ([], [Finding("a", "lag", Message("the force is late"))], Use.WITH_CARE, "is late"),
-        ([check(*TWO, Verdict.WARNING, 2.0, 1.0)], [], Use.WITH_CARE, "2 different sets of"),
-        ([check(*TWO, Verdict.NOTE, 2.0, 1.0)], [], Use.USABLE, "explain it (60 %, 40 %"),
-        ([SLIP, *band("a", nearly=0.98)], [], Use.NOT_USABLE, "band is usable, its parameters"),
-        ([SLIP], [], Use.NOT_USABLE, "Fc_fwd 0.369 kN, measured 4.14 kN"),
+        ([energy("a", -5.31, 0.3)], [], Fitness.NOT_USABLE, "displacement is probably swapped"),
+        ([], [Finding("a", "lag", Message("the force is late"))], Fitness.WITH_CARE, "is late"),
+        (
+            [check(*TWO, CheckStatus.WARNING, 2.0, 1.0)],
+            [],
+            Fitness.WITH_CARE,
+            "2 different sets of",
+        ),
+        ([check(*TWO, CheckStatus.NOTE, 2.0, 1.0)], [], Fitness.USABLE, "explain it (60 %, 40 %"),
+        ([SLIP, *band("a", nearly=0.98)], [], Fitness.NOT_USABLE, "band is usable, its parameters"),
+        ([SLIP], [], Fitness.NOT_USABLE, "Fc_fwd 0.369 kN, measured 4.14 kN"),
     ],
 )
 def test_what_a_test_may_be_used_for_has_its_reason(checks, findings, use, words):
@@ -109,11 +114,11 @@ def test_what_a_test_may_be_used_for_has_its_reason(checks, findings, use, words
 
 
 def test_sampling_that_fell_short_is_no_fault_of_the_record_and_a_wrong_record_comes_first():
-    short = check("R-hat", "k3", Verdict.FAIL)
+    short = check("R-hat", "k3", CheckStatus.FAIL)
     judged = judge(["a"], [short], [])
     assert not judged[0].wrong
     assert sentence([short], judged).startswith("The sampling did not reach its targets")
-    short = Check("population", "R-hat", "K_c_fwd", 1.2, 1.01, Verdict.FAIL)
+    short = Check("population", "R-hat", "K_c_fwd", 1.2, 1.01, CheckStatus.FAIL)
     text = sentence([*CHECKS, short], judge(TESTS, CHECKS, [SWAPPED]))
     assert "but correct what is wrong first" in text
     assert "--effort" not in text
@@ -121,8 +126,8 @@ def test_sampling_that_fell_short_is_no_fault_of_the_record_and_a_wrong_record_c
 
 
 def test_a_test_that_was_not_calibrated_has_not_converged_and_one_not_shown_says_why():
-    lost = Check("b", "calibration", "finished", 0.0, 1.0, Verdict.FAIL)
+    lost = Check("b", "calibration", "finished", 0.0, 1.0, CheckStatus.FAIL)
     assert "All 2 calibrated tests" in sentence([lost], judge(["a", "b", "c"], [lost], []))
-    hidden = Check("b", "report", "shown", 0.0, 1.0, Verdict.FAIL)
+    hidden = Check("b", "report", "shown", 0.0, 1.0, CheckStatus.FAIL)
     worst = judge(["a", "b"], [hidden], [])[0]
     assert (worst.subject, str(worst.reasons[0])) == ("b", "it could not be shown in the report")

@@ -189,7 +189,7 @@ def test_a_building_meets_the_device_of_the_record(model):
 def test_given_factors_replace_the_proportion(model):
     trace, theta = trace_of(MOTIONS["partial"], time=STEPS), dampers(model, 3)
     along = 1.0 + 0.4 * np.sin(np.array([[1.0], [2.0], [3.0]]) * STEPS)
-    scales = dict.fromkeys((*model.slip_forces, *model.tied_laws), along)
+    scales = dict.fromkeys((*model.slip_forces, *model.shared_laws), along)
     expected = model.force(theta, trace, scales=scales)
     assert_close(stepped(model, theta, trace, scales=scales), expected)
 
@@ -247,7 +247,7 @@ def test_theta_is_an_array_of_all_parameters(model):
 
 def test_a_parameter_outside_its_limits_is_named(model):
     theta = model.theta(some_values(3))
-    limits = {quantity.name: (quantity.least, quantity.most) for quantity in model.quantities}
+    limits = {quantity.name: (quantity.lower, quantity.upper) for quantity in model.quantities}
     assert model.positive
     for i, name in enumerate(model.parameters):
         least, most = limits[name]
@@ -260,7 +260,7 @@ def test_a_parameter_outside_its_limits_is_named(model):
 
 
 def test_static_friction_is_at_least_kinetic_but_for_rounding(model):
-    for static, kinetic in model.tied_laws.items():
+    for static, kinetic in model.shared_laws.items():
         theta = model.theta(some_values(2))
         at, other = model.parameters.index(static), model.parameters.index(kinetic)
         theta[:, at] = theta[:, other] * (1.0 - 1e-13)

@@ -129,10 +129,10 @@ def test_other_quantities_have_their_own_units(folder):
     assert (model.motion, model.response) == (("strain", "1"), ("stress", "MPa"))
     assert model.rate_independent
     stiffness, share = model.quantities
-    assert (stiffness.unit, share.least, share.most) == ("MPa", 0.0, 1.0)
+    assert (stiffness.unit, share.lower, share.upper) == ("MPa", 0.0, 1.0)
     (folder / "steel.toml").write_text(STEEL_PRIORS)
     posterior = mb.Posterior(trace_of(FORCE), str(folder / "steel.toml"), "iid", model)
-    assert posterior.priors["E"].typical == pytest.approx(2e5)
+    assert posterior.priors["E"].median == pytest.approx(2e5)
     with pytest.raises(mb.MfdError, match="no step in time"):
         model.start([[2e5, 0.1]])
     with pytest.raises(mb.MfdError, match=r"b must be finite and in \[0, 1\]"):

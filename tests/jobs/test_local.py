@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.errors import FitError, StoreError
-from mfd_bayes.jobs.job import Outcome, State, Step
+from mfd_bayes.jobs.job import JobState, Outcome, Step
 from mfd_bayes.jobs.local import (
     context,
     run_in_processes,
@@ -49,7 +49,7 @@ class Work:
             (out / str(killed)).touch()
             time.sleep(0.3)  # its step is seen
             os.kill(os.getpid(), signal.SIGKILL)
-        return Outcome(self.id, State.DONE, 0.0)
+        return Outcome(self.id, JobState.DONE, 0.0)
 
 
 def work(*jobs, out, processes=1, observe=lambda _: None):

@@ -150,7 +150,7 @@ def test_priors_are_not_wrong_for_a_test_without_actuation_where_others_have_one
         text += f'[[test]]\nid = "{name}"\nfile = "{name}.csv"\nactuation = "{level} psi"\n'
     (tmp_path / "campaign.toml").write_text(text)
     found = prior_check(tmp_path / "campaign.toml", tmp_path)
-    assert (found.unloaded, found.outside) == (unloaded, outside)
+    assert (found.unloaded, found.outlying) == (unloaded, outside)
     assert bool(found.wrong) == bool(outside)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.applications.next_test.study import (
-    Devices,
+    SimulatedDevices,
     Goals,
     Loop,
     advise,
@@ -18,8 +18,8 @@ from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.campaign.candidate import NEW_DEVICE, Candidate, Goal, Limits, parse_goal
 from mfd_bayes.errors import CampaignError, NotThereError
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.bands import Forecast, Predictor
-from mfd_bayes.population.design import Setting, setting_of
+from mfd_bayes.population.bands import PredictionOptions, Predictor
+from mfd_bayes.population.design import TestConditions, setting_of
 from tests.population.made import THREE_STAGE, make_population, no_residual
 
 MEDIANS = THREE_STAGE | {"offset": 0.0, "noise_sd": 0.01}
@@ -47,7 +47,7 @@ def make_situation(
     """
     made = [*sessions, *[""] * len(levels)][: len(levels)]
     owned = [*devices, *[""] * len(levels)][: len(levels)]
-    settings = [Setting(p, s, {}, d) for p, s, d in zip(levels, made, owned, strict=True)]
+    settings = [TestConditions(p, s, {}, d) for p, s, d in zip(levels, made, owned, strict=True)]
     slip = ("Fc_fwd", "Fc_bwd")
     population = make_population(
         settings,
@@ -183,10 +183,10 @@ def test_goal_and_simulated_tests_are_those_of_the_predictions():
     loop = Loop.of(AT_ONE, GAP)
     rng = np.random.default_rng(0)
     settings = [setting_of(loop.trace)]
-    devices = Devices.draw(predictor, settings, 1600, rng)
+    devices = SimulatedDevices.draw(predictor, settings, 1600, rng)
     for kind, scattered in (("mean", False), ("new_test", True)):
         ours = devices.damper(loop, "", scattered=scattered, seed=(1,))
-        band = predictor.predict(loop.trace, Forecast(kind, draws=1600))
+        band = predictor.predict(loop.trace, PredictionOptions(kind, draws=1600))
         middle = (3 * loop.first + loop.trace.samples) // 4 + 3  # in slip, backward
         widths = [np.ptp(np.quantile(d[:, middle], [0.05, 0.95])) for d in (ours, band.draws)]
         assert widths[0] == pytest.approx(widths[1], rel=0.1)

@@ -14,13 +14,19 @@ from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population.bands import Predictor
-from mfd_bayes.population.design import LAW_NAMES, Setting, design_of, setting_of, usual_shapes
+from mfd_bayes.population.design import (
+    LAW_NAMES,
+    TestConditions,
+    design_of,
+    setting_of,
+    usual_shapes,
+)
 from mfd_bayes.population.population import (
     KNOTS,
+    InitialGapPrior,
     LawDraws,
     Population,
     Residual,
-    Starts,
     TravelBasis,
 )
 from mfd_bayes.records.trace import Trace
@@ -58,7 +64,7 @@ def no_residual(**changed: Any) -> Residual:
 
 
 def make_population(
-    settings: Sequence[Setting],
+    settings: Sequence[TestConditions],
     laws: Mapping[str, str] | None = None,
     *,
     medians: Mapping[str, float] | None = None,
@@ -71,7 +77,7 @@ def make_population(
     shape: tuple[int, int] = (4, 100),
     everywhere: bool = True,
     residual: Residual | None = None,
-    starts: Starts | None = None,
+    starts: InitialGapPrior | None = None,
     reference: float | None = 1.0,
     dependence: Mapping[str, Sequence[str]] | None = None,
     alternatives: Mapping[str, float] | None = None,
@@ -137,7 +143,7 @@ def make_population(
         alternatives=other,
         alternative_weight=weight,
         residual=residual or no_residual(),
-        starts=starts or Starts(),
+        starts=starts or InitialGapPrior(),
         priors={name: priors.parameters[name] for name in known},
         actuation_unit="ksi",
         walkers=10,
@@ -146,12 +152,12 @@ def make_population(
 
 
 def make_predictor(
-    model: str, tested: Sequence[Setting] | None = None, *arguments: Any, **options: Any
+    model: str, tested: Sequence[TestConditions] | None = None, *arguments: Any, **options: Any
 ) -> Predictor:
     """The predictor of a population of a model, with medians typical of the priors by default."""
     friction, priors = find_model(model), load_priors("mfd").parameters
     names = [q.name for q in friction.quantities if q.sampled and q.name in priors]
-    medians = {n: priors[n].typical for n in names if n not in ("start", "gamma1")}
+    medians = {n: priors[n].median for n in names if n not in ("start", "gamma1")}
     options = {"medians": medians | {"offset": 0.0, "noise_sd": 0.05}} | options
     if tested is None:
         time = np.arange(128) / 32.0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from mfd_bayes.population.design import Setting, design_of
+from mfd_bayes.population.design import TestConditions, design_of
 from mfd_bayes.population.exact_sampler import ExactSampler
 from mfd_bayes.population.joint_fit import JointFit
 from mfd_bayes.population.mixed_model import MixedModel
@@ -20,7 +20,7 @@ class Campaign:
     """Tests of one slip force at one level, known by any likelihoods and by Gaussian ones."""
 
     def __init__(self, priors, mean, sd, functions=None):
-        laid = design_of(priors, ("Fc_fwd",), [Setting(1.0)] * len(mean))
+        laid = design_of(priors, ("Fc_fwd",), [TestConditions(1.0)] * len(mean))
         self.design = replace(laid, common=np.zeros(1, dtype=bool))
         self.mean, self.precision = mean[:, None], sd[:, None, None] ** -2.0
         self.functions = functions or self.gaussians()

@@ -8,8 +8,8 @@ from scipy import stats
 
 from mfd_bayes.errors import FitError, RecordError
 from mfd_bayes.population import conditioning as given_part
-from mfd_bayes.population.bands import FEWEST, Forecast
-from mfd_bayes.population.conditioning import Forecaster, predict_given, stroke_likelihood
+from mfd_bayes.population.bands import FEWEST, PredictionOptions
+from mfd_bayes.population.conditioning import OnlinePredictor, predict_given, stroke_likelihood
 from mfd_bayes.population.design import setting_of
 from mfd_bayes.records.trace import Trace
 from tests.population.made import make_predictor, no_residual
@@ -38,7 +38,7 @@ def predictor(name, **options):
 def truth_of(made, seed=1, actuation=1.0):
     """A test of the population: its record, its force without noise, and its quantities."""
     rng, trace = np.random.default_rng(seed), motion(actuation)
-    drawn = made.draw(trace, Forecast(draws=FEWEST), rng)
+    drawn = made.draw(trace, PredictionOptions(draws=FEWEST), rng)
     values = {name: value[0] for name, value in made.values(drawn).items()}
     force = made.force(trace, drawn)[0]
     noise = made.population.residual.draw_noise(rng, trace, np.array([values["noise_sd"]]))[0]
@@ -80,7 +80,7 @@ def known_but_for_the_offset(share=0.0):
 def test_an_offset_given_a_part_is_the_closed_form(share, end):
     made = known_but_for_the_offset(share)
     record, force, _ = truth_of(made, seed=4)
-    band = predict_given(made, record, Forecast(draws=4000, seed=1), (0.0, end))
+    band = predict_given(made, record, PredictionOptions(draws=4000, seed=1), (0.0, end))
     assert band.given.method == "sampling" or end < 1.0
     inside = end >= TIME
     n, turns = np.count_nonzero(inside), record.turning_points
@@ -110,7 +110,7 @@ def test_a_given_part_makes_the_band_narrower_and_nearer(name, number, monkeypat
     rest = TIME > 2.2
     for seed in range(number):
         record, force, _ = truth_of(made, seed)
-        forecast = Forecast(draws=300, seed=seed)
+        forecast = PredictionOptions(draws=300, seed=seed)
         before = made.predict(record, forecast)
         band = predict_given(made, record, forecast, (0.0, 2.2))
         assert band.given.window == (0.0, 2.2)
@@ -130,8 +130,8 @@ def test_a_given_part_makes_the_band_narrower_and_nearer(name, number, monkeypat
 def test_a_test_that_is_followed_is_that_which_is_given(name):
     made = predictor(name, scatter=0.1)
     record, _, _ = truth_of(made, 2)
-    forecast, at = Forecast(draws=3000, seed=1), 30
-    forecaster = Forecaster(made, setting_of(record), forecast, refresh=False)
+    forecast, at = PredictionOptions(draws=3000, seed=1), 30
+    forecaster = OnlinePredictor(made, setting_of(record), forecast, refresh=False)
     for i in range(at):
         one = slice(i, i + 1)
         forecaster.update(record.time[one], record.displacement[one], None, record.force[one])
@@ -152,7 +152,7 @@ def test_a_test_that_is_followed_is_that_which_is_given(name):
 def test_a_refreshed_forecaster_knows_what_is_given():
     made = known_but_for_the_offset()
     record, force, values = truth_of(made, 3)
-    forecaster = Forecaster(made, setting_of(record), Forecast(draws=500))
+    forecaster = OnlinePredictor(made, setting_of(record), PredictionOptions(draws=500))
     forecaster.update(record.time[:80], record.displacement[:80], None, record.force[:80])
     band = forecaster.band(Trace.from_arrays(TIME[80:], record.displacement[80:]))
     known = 0.05 / np.sqrt(80)
@@ -167,9 +167,11 @@ def test_any_actuation_can_be_given_and_followed(actuation):
     laws = {"Fc_fwd": "affine", "Fc_bwd": "affine"}
     made = predictor("three_stage", laws=laws, effect={"level_friction": 0.1})
     record, force, _ = truth_of(made, 2, actuation)
-    band = predict_given(made, record, Forecast(draws=200), (0.0, 2.0))
+    band = predict_given(made, record, PredictionOptions(draws=200), (0.0, 2.0))
     assert np.mean(np.abs(band.median - force)[TIME > 2.0]) < 0.3 * np.std(force)
-    forecaster = Forecaster(made, setting_of(record), Forecast(draws=200), refresh=False)
+    forecaster = OnlinePredictor(
+        made, setting_of(record), PredictionOptions(draws=200), refresh=False
+    )
     level = np.broadcast_to(actuation, TIME.shape)
     forecaster.update(TIME[:40], record.displacement[:40], level[:40], record.force[:40])
     later = Trace.from_arrays(TIME[40:], record.displacement[40:], level[40:])
@@ -191,8 +193,10 @@ def test_what_cannot_be_given_or_follow_is_one_sentence():
         (replace(record, force=None), "new_test", (0.0, 1.0), "no force"),
     ):
         with pytest.raises(FitError, match=words):
-            predict_given(made, trace, Forecast(kind), window)
-    forecaster = Forecaster(made, setting_of(record), Forecast(draws=20), refresh=False)
+            predict_given(made, trace, PredictionOptions(kind), window)
+    forecaster = OnlinePredictor(
+        made, setting_of(record), PredictionOptions(draws=20), refresh=False
+    )
     with pytest.raises(FitError, match="a band needs some samples"):
         forecaster.band(record)
     forecaster.update(TIME[:9], record.displacement[:9], None, record.force[:9])
@@ -206,6 +210,8 @@ def test_what_cannot_be_given_or_follow_is_one_sentence():
             forecaster.update(*arguments)
     with pytest.raises(FitError, match="must begin after the last sample"):
         forecaster.band(record)
-    idle = Forecaster(made, setting_of(motion(0.0)), Forecast(draws=20), refresh=False)
+    idle = OnlinePredictor(
+        made, setting_of(motion(0.0)), PredictionOptions(draws=20), refresh=False
+    )
     with pytest.raises(RecordError, match="planned without actuation, and now has one"):
         idle.update([0.0], [0.0], 1.0, [0.0])

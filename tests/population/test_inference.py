@@ -9,7 +9,7 @@ from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.friction.models import find_model
-from mfd_bayes.population.bands import Forecast, Predictor
+from mfd_bayes.population.bands import PredictionOptions, Predictor
 from mfd_bayes.population.inference import InferenceSettings, infer_population
 from mfd_bayes.records.trace import Trace
 
@@ -32,7 +32,7 @@ def made_test(priors, name, actuation, rng, luck=0.0):
     blank = Trace.from_arrays(TIME, MOTION, actuation, np.ones(TIME.size))
     posterior = Posterior(blank, priors, "iid", model, initial="sample")
     names = [n for n in posterior.names if n in priors.parameters]
-    values = {n: priors.parameters[n].typical for n in names}
+    values = {n: priors.parameters[n].median for n in names}
     force = slip(blank.reference_actuation) * np.exp(luck)
     values |= {"Fc_fwd": force, "Fc_bwd": 1.2 * force, "offset": 0.0, "noise_sd": NOISE}
     values |= {"start": 0.5, "gamma1": 1.0}
@@ -72,7 +72,7 @@ def test_the_law_that_records_are_made_with_is_found_and_predicts(priors, name):
     rng, inside, widths = np.random.default_rng(9), [], []
     for p in (0.5, 0.8, 1.2, 1.5):
         new = made_test(priors, name, p, rng, SCATTER * rng.standard_normal())
-        band = predictor.predict(new.trace, Forecast("observation", draws=300))
+        band = predictor.predict(new.trace, PredictionOptions("observation", draws=300))
         inside.append(np.mean((new.trace.force >= band.lower) & (new.trace.force <= band.upper)))
         widths.append(np.mean(band.upper - band.lower) / np.ptp(new.trace.force))
     assert np.mean(inside) > 0.85

@@ -10,7 +10,7 @@ from mfd_bayes.population.design import (
     LAW_NAMES,
     LAWS,
     Coordinates,
-    Setting,
+    TestConditions,
     design_of,
     levels_of,
     ratio,
@@ -28,7 +28,7 @@ CONDITIONS = [  # actuation, session, half the stroke
     (0.5, "a", 1.0), (1.0, "a", 0.5), (2.0, "a", 1.0), (1.0, "b", 2.0), (2.0, "b", 0.7),
     (0.5, "b", 1.5),
 ]  # fmt: skip
-SETTINGS = [Setting(p, s, {"amplitude": x, "velocity": 3.0 * x}) for p, s, x in CONDITIONS]
+SETTINGS = [TestConditions(p, s, {"amplitude": x, "velocity": 3.0 * x}) for p, s, x in CONDITIONS]
 
 
 def design(priors, settings=SETTINGS, names=NAMES, laws=SOME_LAWS, dependence=None):
@@ -122,7 +122,7 @@ class Dense:
 
 def scatter_of(mixed):
     """Scatter of the first quantity at the mode."""
-    return mixed.tau(mixed.of_numbers(mixed.mode(choice_of(mixed))[None]))[0, 0]
+    return mixed.tau(mixed.from_standard_normal(mixed.mode(choice_of(mixed))[None]))[0, 0]
 
 
 def some_h(mixed, n=4, seed=0):
@@ -164,7 +164,7 @@ def clean(priors, seed, count=10):
     """Tests at one level that scatter by half the prior's scale, known to a fifth of that."""
     rng = np.random.default_rng(seed)
     laid = design(
-        priors, [Setting(1.0)] * count, ("Fc_fwd", "sigma0", "offset"), dependence={"": ()}
+        priors, [TestConditions(1.0)] * count, ("Fc_fwd", "sigma0", "offset"), dependence={"": ()}
     )
     laid = replace(laid, common=np.zeros(3, dtype=bool))
     tau = 0.5 * laid.scatter_sd / laid.spread
@@ -240,7 +240,7 @@ def test_levels_left_out_are_scored_by_differences_of_dense_densities(priors):
 
 def power_tests(priors, scatter, noise):
     """Tests at four levels that follow a power law with an exponent of 0.4."""
-    settings = [Setting(p) for p in (0.25, 0.25, 0.5, 0.5, 1.0, 1.0, 2.0, 2.0)]
+    settings = [TestConditions(p) for p in (0.25, 0.25, 0.5, 0.5, 1.0, 1.0, 2.0, 2.0)]
     laid = design(priors, settings, ("Fc_fwd", "offset"), {"Fc_fwd": "compare"}, {"": ()})
     laid = replace(laid, common=np.zeros(2, dtype=bool))
     rng, p = np.random.default_rng(4), np.array([s.actuation for s in settings])
@@ -272,7 +272,7 @@ def test_a_law_that_predicts_the_levels_left_out_is_preferred(priors):
 
 def test_a_drift_is_found_where_there_is_one(priors):
     rng, years = np.random.default_rng(3), np.repeat(2020.0 + np.arange(5.0), 3)
-    tested, slopes = [Setting(1.0, "", {"date": year}) for year in years], []
+    tested, slopes = [TestConditions(1.0, "", {"date": year}) for year in years], []
     laid = design(priors, tested, ("Fc_fwd",), {"Fc_fwd": "proportional"}, {"Fc_fwd": ("date",)})
     laid = replace(laid, leveled=False)
     for rate in (-0.04, 0.0):
@@ -286,8 +286,8 @@ def test_a_drift_is_found_where_there_is_one(priors):
     assert abs(drift + 0.04) < 4.0 * error
     assert drift + 4.0 * error < 0.0
     assert abs(none) < 4.0 * wide
-    assert laid.changed("date", Setting(1.0)) == pytest.approx(0.5)  # the latest one
-    later = Setting(1.0, "", {"date": 2030.0})
+    assert laid.changed("date", TestConditions(1.0)) == pytest.approx(0.5)  # the latest one
+    later = TestConditions(1.0, "", {"date": 2030.0})
     assert laid.changed("date", later) == pytest.approx(2.0)
 
 

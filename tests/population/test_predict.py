@@ -10,12 +10,12 @@ from mfd_bayes.errors import FitError, NotThereError
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population.bands import (
     ADVICE,
-    Forecast,
+    PredictionOptions,
     holds_whole,
     whole_band,
 )
 from mfd_bayes.population.design import setting_of, with_zeros
-from mfd_bayes.population.population import SHAPES, Ending, Starts
+from mfd_bayes.population.population import SHAPES, FinalState, InitialGapPrior
 from mfd_bayes.records.trace import Trace
 from tests.population.made import THREE_STAGE, make_predictor, no_residual
 
@@ -51,7 +51,7 @@ def test_beyond_the_levels_laws_are_mixed_and_between_them_the_named_one_holds()
     named, mixed = (
         predictor(POWER, level_sd=0.02, scatter=0.02, alternatives=a) for a in (None, MIXED)
     )
-    forecast = Forecast(draws=DRAWS)
+    forecast = PredictionOptions(draws=DRAWS)
     for level in (0.5, 0.8, 1.4, 2.0):
         one, other = (p.predict(motion(level), forecast) for p in (named, mixed))
         np.testing.assert_array_equal(one.draws, other.draws)
@@ -90,11 +90,11 @@ def test_the_named_law_gives_the_median_and_its_slope():
 def test_without_actuation_a_law_without_an_intercept_leaves_no_friction():
     tested = with_zeros([setting_of(motion(p)) for p in (1e-5, 1.0, 2.0)])
     assert tested[0].actuation == 0.0
-    band = predictor(POWER, tested=tested).predict(motion(0.0), Forecast(draws=200))
+    band = predictor(POWER, tested=tested).predict(motion(0.0), PredictionOptions(draws=200))
     assert np.all(band.values["Fc_fwd"] < 1e-6)
     assert np.all(np.isfinite(band.draws))
     affine = predictor(dict.fromkeys(POWER, "affine"), tested=tested, share=0.7)
-    left = affine.predict(motion(0.0), Forecast(draws=DRAWS)).values["Fc_fwd"]
+    left = affine.predict(motion(0.0), PredictionOptions(draws=DRAWS)).values["Fc_fwd"]
     assert np.median(left) == pytest.approx(1.3 * 0.3, rel=4.0 * 1.25 * 0.11 / np.sqrt(DRAWS))
     with pytest.raises(FitError, match="an actuation above zero in at least one"):
         with_zeros([setting_of(motion(0.0))])
@@ -104,7 +104,7 @@ def test_along_a_history_friction_follows_its_law_and_levels_deviate():
     law = {"Fc_fwd": "power", "Fc_bwd": "power"}
     history = np.where(TIME < 2.0, 1.0, 2.0)
     force = {}
-    asked = Forecast(draws=DRAWS, session="another")
+    asked = PredictionOptions(draws=DRAWS, session="another")
     for effect in (1e-9, 0.2):
         effects = {"level_friction": effect}
         made = predictor(law, exponent=0.5, scatter=1e-9, level_sd=0.0, effect=effects)
@@ -131,20 +131,24 @@ def test_a_new_session_or_device_is_wider_than_a_known_one(what):
     tested = [replace(s, **{what: name}) for s, name in zip(settings(), "aab", strict=True)]
     effect = {f"{what}_friction": 0.2}
     made = predictor(tested=tested, effect=effect, scatter=0.05, level_sd=0.0)
-    known, new = (made.predict(motion(), Forecast(draws=DRAWS, **{what: n})) for n in ("a", "new"))
+    known, new = (
+        made.predict(motion(), PredictionOptions(draws=DRAWS, **{what: n})) for n in ("a", "new")
+    )
     rel = 4.0 / np.sqrt(2.0 * DRAWS)
     assert spread(known) == pytest.approx(0.05, rel=rel)
     assert spread(new) == pytest.approx(np.hypot(0.05, 0.2), rel=rel)
-    mean = made.predict(motion(), Forecast("mean", draws=DRAWS, **{what: "new"}))
+    mean = made.predict(motion(), PredictionOptions("mean", draws=DRAWS, **{what: "new"}))
     assert spread(mean) < 1e-6  # the mean property is that of the devices tested
 
 
 def test_a_motion_outside_the_tests_is_wider_and_one_inside_is_not():
     made = predictor(scatter=0.02, level_sd=0.0, tested=settings(amplitudes=(0.5, 1.0, 1.5)))
-    inside = made.predict(motion(amplitude=1.0), Forecast(draws=DRAWS))
+    inside = made.predict(motion(amplitude=1.0), PredictionOptions(draws=DRAWS))
     assert spread(inside) == pytest.approx(0.02, rel=4.0 / np.sqrt(2.0 * DRAWS))
-    longer = made.predict(motion(amplitude=1.5 * np.e, rate=1.0 / np.e), Forecast(draws=DRAWS))
-    faster = made.predict(motion(rate=4.0), Forecast(draws=DRAWS))
+    longer = made.predict(
+        motion(amplitude=1.5 * np.e, rate=1.0 / np.e), PredictionOptions(draws=DRAWS)
+    )
+    faster = made.predict(motion(rate=4.0), PredictionOptions(draws=DRAWS))
     assert spread(longer) > 0.15
     assert spread(inside) < spread(faster) < spread(longer)
 
@@ -159,7 +163,9 @@ def test_a_dependence_on_the_stroke_holds_within_the_tested_strokes():
     z[..., begin] = -0.3
     assert np.all(made.population.dependences["Fc_fwd_amplitude"] == -0.3)
     middles = {
-        x: np.median(np.log(made.predict(motion(amplitude=x), Forecast(draws=50)).values["Fc_fwd"]))
+        x: np.median(
+            np.log(made.predict(motion(amplitude=x), PredictionOptions(draws=50)).values["Fc_fwd"])
+        )
         for x in (0.5, 1.0, 1.5)
     }
     assert middles[1.0] - middles[0.5] == pytest.approx(-0.3 * np.log(2.0), rel=0.01)
@@ -189,16 +195,24 @@ def test_each_source_of_the_width_is_named_by_what_varies():
         ({"d2": 0.3}, "test-to-test scatter of gap"),
     ):
         made = predictor(scatter=scatter, level_sd=0.0)
-        band = made.predict(motion(), Forecast(draws=200))
-        assert max(band.shares, key=band.shares.get) in (source, "start in the gap")
-        assert band.shares[source] > 0.5
-        assert sum(band.shares.values()) == pytest.approx(1.0)
-        assert set(band.shares) <= set(ADVICE)
+        band = made.predict(motion(), PredictionOptions(draws=200))
+        assert max(band.variance_shares, key=band.variance_shares.get) in (
+            source,
+            "start in the gap",
+        )
+        assert band.variance_shares[source] > 0.5
+        assert sum(band.variance_shares.values()) == pytest.approx(1.0)
+        assert set(band.variance_shares) <= set(ADVICE)
     law = predictor(scatter=1e-9, level_sd={"Fc_fwd": 0.2, "Fc_bwd": 0.2})
-    shares = law.predict(motion(), Forecast(draws=200)).shares
+    shares = law.predict(motion(), PredictionOptions(draws=200)).variance_shares
     assert shares["law, level and session effects"] > 0.5
     noise = predictor(scatter=1e-9, level_sd=0.0, medians=THREE_STAGE | {"noise_sd": 0.3})
-    assert noise.predict(motion(), Forecast("observation", draws=200)).shares["noise"] > 0.5
+    assert (
+        noise.predict(motion(), PredictionOptions("observation", draws=200)).variance_shares[
+            "noise"
+        ]
+        > 0.5
+    )
 
 
 def test_a_discrepancy_is_added_in_proportion_to_the_slip_force():
@@ -208,7 +222,7 @@ def test_a_discrepancy_is_added_in_proportion_to_the_slip_force():
         for r in (no_residual(), no_residual(mean=knots, slip_force=1.45))
     )
     for level in (1.0, 2.0):
-        pair = [p.predict(motion(level), Forecast(draws=10)) for p in (plain, shifted)]
+        pair = [p.predict(motion(level), PredictionOptions(draws=10)) for p in (plain, shifted)]
         late = slice(110, None)  # after the first full strokes
         difference = (pair[1].median - pair[0].median)[late]
         assert np.abs(difference).max() == pytest.approx(0.1 * level, rel=0.1)
@@ -224,11 +238,11 @@ def test_another_kind_or_stroke_never_begins_as_repeats_did():
     weights = np.zeros((2, SHAPES.size))
     weights[1, -1] = 1.0  # as of many tests that began exactly where their motions end
     tested = [replace(setting_of(SINE), actuation=p) for p in (0.5, 1.0, 2.0)]
-    made = predictor(tested=tested, scatter=1e-9, level_sd=0.0, starts=Starts(weights))
+    made = predictor(tested=tested, scatter=1e-9, level_sd=0.0, starts=InitialGapPrior(weights))
 
     def uniformity(x):
         trace = Trace.from_arrays(LONG, x, 1.0)
-        drawn = made.draw(trace, Forecast(draws=DRAWS), np.random.default_rng(1))
+        drawn = made.draw(trace, PredictionOptions(draws=DRAWS), np.random.default_rng(1))
         return stats.kstest(drawn.unshared["start"], "uniform").pvalue
 
     sine = np.sin(np.pi * LONG)
@@ -248,7 +262,7 @@ def test_starts_that_are_learned_of_are_those_of_the_tests():
     numbers = np.random.default_rng(2).standard_normal((DRAWS, 2))
 
     def places(begun, ends):
-        starts = Starts.learned(np.tile(begun, (100, 1)), ends, [None] * begun.size)
+        starts = InitialGapPrior.learned(np.tile(begun, (100, 1)), ends, [None] * begun.size)
         found = starts.place(numbers, 0.75, None, repeat=True)
         return np.median(found), np.mean(np.abs(found - 0.75) < 0.15)
 
@@ -263,9 +277,9 @@ def test_starts_that_are_learned_of_are_those_of_the_tests():
 def test_tests_that_began_without_load_make_others_begin_without_load():
     begun = np.tile([0.45, 0.5, 0.55], (200, 1))
     ends = [(np.full(200, 0.4), np.full(200, 0.6))] * 3
-    learned = Starts.learned(begun, None, ends)
+    learned = InitialGapPrior.learned(begun, None, ends)
     assert 0.75 < learned.unloaded <= 0.95
-    loaded = Starts.learned(np.tile([0.1, 0.9, 0.05], (200, 1)), None, ends)
+    loaded = InitialGapPrior.learned(np.tile([0.1, 0.9, 0.05], (200, 1)), None, ends)
     assert loaded.unloaded < 0.05
     numbers = np.random.default_rng(4).standard_normal((DRAWS, 2))
     ends = np.full(DRAWS, 0.4), np.full(DRAWS, 0.6)
@@ -279,12 +293,12 @@ def test_tests_that_began_without_load_make_others_begin_without_load():
 def test_a_test_that_follows_begins_where_the_one_before_ended(priors, name):
     model = find_model(name)
     typical = {
-        q.name: np.full(50, priors.parameters[q.name].typical)
+        q.name: np.full(50, priors.parameters[q.name].median)
         for q in model.quantities
         if q.name in priors.parameters
     }
     values = {"gamma1": np.ones(50), **typical, "start": np.linspace(0.05, 0.95, 50)}
-    ending = Ending.of(model, "a", SINE, values)
+    ending = FinalState.of(model, "a", SINE, values)
     again = ending.starts(model, model.theta(values), SINE, seed=1)
     assert np.ptp(again) < 0.05  # full strokes forget where they began
     assert "test a ended" in ending.words

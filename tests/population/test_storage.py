@@ -10,9 +10,14 @@ import pytest
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.population.bands import Forecast, Predictor
+from mfd_bayes.population.bands import PredictionOptions, Predictor
 from mfd_bayes.population.design import setting_of
-from mfd_bayes.population.population import SHAPES, Starts, load_population, save_population
+from mfd_bayes.population.population import (
+    SHAPES,
+    InitialGapPrior,
+    load_population,
+    save_population,
+)
 from mfd_bayes.records.trace import Trace
 from tests.population.made import make_population, no_residual
 
@@ -47,7 +52,7 @@ def population():
         dependence={"Fc_fwd": ("amplitude",)},
         alternatives={"proportional": 0.6, "residual_power": 0.4},
         residual=residual,
-        starts=Starts(weights / weights.sum(), 0.4),
+        starts=InitialGapPrior(weights / weights.sum(), 0.4),
     )
     made.draws.z[...] += 0.01 * rng.normal(size=made.draws.z.shape)
     object.__setattr__(made, "walkers", 6)
@@ -68,7 +73,7 @@ def test_predictions_and_what_tables_show_come_back_bit_by_bit(population, store
         (3.0, "new_test", "new"),
         (np.linspace(0.5, 1.5, TIME.size), "observation", "b"),
     ):
-        forecast = Forecast(kind, draws=30, seed=3, session=session)
+        forecast = PredictionOptions(kind, draws=30, seed=3, session=session)
         first, again = (
             Predictor(p, ThreeStage(), find_noise("iid")).predict(motion(actuation), forecast)
             for p in (population, back)

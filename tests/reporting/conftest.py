@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Directions, Identifiability, Pair
-from mfd_bayes.evaluation.scores import Fan, Interval
+from mfd_bayes.evaluation.scores import Interval, QuantileBand
 from mfd_bayes.evaluation.views import (
     PREDICTIVE,
     CampaignView,
@@ -23,19 +23,19 @@ from mfd_bayes.evaluation.views import (
     TestView,
 )
 from mfd_bayes.friction.three_stage import ThreeStage
-from mfd_bayes.messages import Message, Quantity
+from mfd_bayes.messages import Measure, Message
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.options import ReportOptions
 from mfd_bayes.reporting.page import publish
-from mfd_bayes.runs.manifest import Use, Verdict
+from mfd_bayes.runs.manifest import CheckStatus, Fitness
 
 THETA = (100, 0.05, 0.02, 1.3, 1.0, 1.5, 1.2, 0.5, 20, 0.1, 0.12, 1, 0.006, 0.5)
 UNITS = {"Fc_fwd": "kip", "k3": "kip/in", "gamma1": "1"}
 
 
-def make_fan(kind: str, draws: np.ndarray) -> Fan:
+def make_fan(kind: str, draws: np.ndarray) -> QuantileBand:
     lower, low, median, high, upper = np.quantile(draws, [0.025, 0.25, 0.5, 0.75, 0.975], axis=0)
-    return Fan(kind, median, (Interval(0.5, low, high), Interval(0.95, lower, upper)))
+    return QuantileBand(kind, median, (Interval(0.5, low, high), Interval(0.95, lower, upper)))
 
 
 SCORES = {"coverage_50": 0.5, "coverage_90": 0.9, "coverage_95": 0.95, "width_95": 0.2}
@@ -79,8 +79,10 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
         chains=4,
         corner=("Fc_fwd", "k3"),
         checks=(
-            Check(identity, "R-hat", "Fc_fwd", 1.002, 1.01, Verdict.PASS),
-            Check(identity, PREDICTIVE, "energy", 3.3, 3.2, Verdict.PASS, "kip*in", p_value=0.4),
+            Check(identity, "R-hat", "Fc_fwd", 1.002, 1.01, CheckStatus.PASS),
+            Check(
+                identity, PREDICTIVE, "energy", 3.3, 3.2, CheckStatus.PASS, "kip*in", p_value=0.4
+            ),
         ),
         score=score,
         derived=make_derived(identity, role),
@@ -117,7 +119,7 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
     mean = left | {"part": "", "test": "mean"}
     return CampaignView(
         title="Drum brake",
-        verdict=Use.USABLE,
+        verdict=Fitness.USABLE,
         sentences=(Message("All checks passed."),),
         actuation_unit="ksi",
         tests=tests,
@@ -135,7 +137,9 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
         law_scores=(best, best | {"law": "proportional", "chosen": True, "difference": -0.3}),
         law_choices={"Fc_fwd": "the power law predicts best, but only just."},
         left_out=LeftOutView("level", (left,), mean, "Of 1 tests the bands hold 95 %."),
-        judgements=tuple(Judgement(test.id, Use.USABLE, (), 0.5) for test in tests if test.rows),
+        judgements=tuple(
+            Judgement(test.id, Fitness.USABLE, (), 0.5) for test in tests if test.rows
+        ),
     )
 
 
@@ -165,7 +169,7 @@ def datasheet() -> Datasheet:
         damping = slip | {"quantity": "effective_damping", "direction": "", "unit": "1"}
         energy = damping | {"quantity": "energy", "unit": "kip*in", "cycle": 1}
         rows += [head | slip | {"n_outside": int(tested)}, head | damping, head | energy]
-    within = {"range": Quantity.of(0.8, unit="in")}
+    within = {"range": Measure.of(0.8, unit="in")}
     verdict = Message("usable"), Message("1 of 3 lies outside"), Message("within {range}", within)
     return Datasheet(
         rows=pd.DataFrame(rows),

@@ -92,7 +92,7 @@ def test_every_kind_of_band_a_motion_without_force_and_odd_names_are_drawn(campa
 
 def test_long_records_show_the_strongest_motion(test_view):
     test = test_view("a", samples=12_000)
-    figure = draw_history("a", test.trace, [test.observation], first=test.first)
+    figure = draw_history("a", test.trace, [test.observation], start=test.first)
     assert len(figure.axes) == 6
     assert all(len(line.get_xdata()) <= 4500 for axes in figure.axes for line in axes.lines)
 

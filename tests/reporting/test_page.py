@@ -16,9 +16,9 @@ import pytest
 
 from mfd_bayes.console import say
 from mfd_bayes.evaluation.views import FREE_EXPONENT, PREDICTIVE, Check, Judgement
-from mfd_bayes.messages import Message, Quantity
+from mfd_bayes.messages import Measure, Message
 from mfd_bayes.reporting.figures import draw_overview
-from mfd_bayes.runs.manifest import Finding, Use, Verdict
+from mfd_bayes.runs.manifest import CheckStatus, Finding, Fitness
 from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.store.files import commented, quoted
 
@@ -131,11 +131,11 @@ def test_the_data_sheet_marks_what_lies_outside(pages):
 
 def test_only_what_misses_is_listed(campaign, text, written):
     assert "What misses" not in text
-    jump = Message("{jump} too far", {"jump": Quantity.of(0.8, unit="in")})
+    jump = Message("{jump} too far", {"jump": Measure.of(0.8, unit="in")})
     warned = (Finding("a", "force sign", jump), Finding("b", "lag", Message("late")))
-    judged = (Judgement("c", Use.NOT_USABLE, (Message("sign <swapped>"),), 9.0),)
+    judged = (Judgement("c", Fitness.NOT_USABLE, (Message("sign <swapped>"),), 9.0),)
     bad = replace(campaign, warnings=warned, judgements=judged, failures={"d": "no draws"})
-    bad = replace(bad, verdict=Use.NOT_USABLE, sentences=(Message("R̂ is 1.2."),))
+    bad = replace(bad, verdict=Fitness.NOT_USABLE, sentences=(Message("R̂ is 1.2."),))
     shown = written(bad)["report.html"]
     head = seen(shown[: shown.index('<nav aria-label="Contents">')])
     for words in (
@@ -147,7 +147,7 @@ def test_only_what_misses_is_listed(campaign, text, written):
 
 def test_the_page_of_a_test_holds_all_that_the_summary_leaves_out(campaign, written):
     test = campaign.tests[0]
-    bad = Check(test.id, PREDICTIVE, "energy", 3.3, 4.1, Verdict.FAIL, "kip*in")
+    bad = Check(test.id, PREDICTIVE, "energy", 3.3, 4.1, CheckStatus.FAIL, "kip*in")
     k3 = {"test": test.id, "name": "k3", "unit": "kip/in"}
     k3 |= {"lower": 0.8, "median": 1.0, "upper": 1.2}
     other = k3 | {"noise": "ou", "other": "staged", "noise_sensitive": True}
@@ -173,7 +173,7 @@ def test_the_page_of_a_test_holds_all_that_the_summary_leaves_out(campaign, writ
 def test_laws_are_compared_in_words(campaign, text, written):
     assert "F<sub>c,fwd</sub>: the power law predicts best, but only just." in text
     assert "Every level held out in turn" in text
-    exponent = Check("laws", FREE_EXPONENT, "Fc_fwd", 1.1, 1.0, Verdict.NOTE, note="0.9 to 1.4")
+    exponent = Check("laws", FREE_EXPONENT, "Fc_fwd", 1.1, 1.0, CheckStatus.NOTE, note="0.9 to 1.4")
     shown = written(replace(campaign, checks=(exponent,)))["report.html"]
     assert "? cannot tell</span> F<sub>c,fwd</sub>: exponent 1.100 (0.9 to 1.4)" in shown
 
@@ -182,14 +182,14 @@ def test_laws_are_compared_in_words(campaign, text, written):
 def hostile(campaign):
     """A report whose every free text is the name that a campaign file gave."""
     name, (one, held) = NAME, campaign.tests
-    checks = (Check(name, name, name, 0.0, 1.0, Verdict.NOTE, note=name),)
+    checks = (Check(name, name, name, 0.0, 1.0, CheckStatus.NOTE, note=name),)
     one = replace(one, rows=tuple(row | {"note": name} for row in one.rows), checks=checks)
     message = Message("{text}", {"text": name})
     return replace(
         campaign,
         title=name,
         sentences=(message,),
-        verdict=Use.WITH_CARE,
+        verdict=Fitness.WITH_CARE,
         tests=(one, replace(held, id=f"h{name.split('/')[0]}")),
         failures={"a": name},
         warnings=(Finding(name, name, message),),

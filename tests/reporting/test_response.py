@@ -6,7 +6,7 @@ from mfd_bayes.applications.buildings.command import ResponseView, render_respon
 from mfd_bayes.applications.buildings.response import Sweep
 from mfd_bayes.reporting import figures
 from mfd_bayes.reporting.figures import to_png
-from mfd_bayes.runs.tested_range import Span
+from mfd_bayes.runs.tested_range import Range
 from mfd_bayes.runs.unit_system import SI, US
 
 
@@ -25,7 +25,7 @@ def test_a_page_of_a_response_has_both_systems_of_units():
     assert "nan" not in text
 
 
-TESTED = (Span("stroke", "in", 1.0, 2.0), Span("actuation", "ksi", 0.5, 1.5))
+TESTED = (Range("stroke", "in", 1.0, 2.0), Range("actuation", "ksi", 0.5, 1.5))
 
 
 def sentence(levels, best, scores=(), goal="mean", interval=None, tested=TESTED, system=US):
@@ -54,7 +54,7 @@ def test_what_to_do_where_the_best_level_is_at_an_end():
 
 
 def test_levels_that_are_best_alike_are_no_optimum():
-    wide = (Span("actuation", "ksi", 0.1, 2.0),)
+    wide = (Range("actuation", "ksi", 0.1, 2.0),)
     for scores, words in (
         ((0, 0, 0), "the same at all 3 levels, 500 to 1500 psi: none of them is better."),
         ((0.1, 0, 0), "smallest at 2 levels alike, 1000 to 1500 psi: none of them is better (90 %"),

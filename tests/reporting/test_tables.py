@@ -14,7 +14,7 @@ import pytest
 
 from mfd_bayes.applications.prediction.tables import predicted_csv
 from mfd_bayes.evaluation.views import Check
-from mfd_bayes.runs.manifest import Verdict
+from mfd_bayes.runs.manifest import CheckStatus
 
 KIP = 4.4482216  # kN
 SPECIAL = r"a_b%c&d#e$f\g{h}i~j^k|l<m>"
@@ -48,7 +48,7 @@ def test_no_text_is_a_formula_in_csv_or_excel(campaign, written, tmp_path):
     texts = ["=1+1", "-1", "\t@SUM(A1)"]
     row = {"mean": -1.25e-7, "r_hat": math.nan}
     rows = tuple(campaign.law_rows[0] | row | {"test": text, "note": text} for text in texts)
-    check = Check(texts[0], "a, b", 'say "x"', -1.0, 1.0, Verdict.PASS)
+    check = Check(texts[0], "a, b", 'say "x"', -1.0, 1.0, CheckStatus.PASS)
     files = written(replace(campaign, law_rows=rows, checks=(check,)), excel=True)
     for line, text in zip(read(files["laws.csv"]), texts, strict=True):
         assert line["group"] == line["note"] == f"'{text}".replace("\t", " ")

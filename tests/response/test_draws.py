@@ -5,7 +5,7 @@ import pytest
 
 from mfd_bayes.applications.buildings.building import read_building
 from mfd_bayes.applications.buildings.dampers import SETTLE, Leftover, draw_dampers
-from mfd_bayes.population.population import KNOTS, Starts, TravelBasis
+from mfd_bayes.population.population import KNOTS, InitialGapPrior, TravelBasis
 from mfd_bayes.records.trace import Trace
 from tests.population.made import make_predictor
 
@@ -100,7 +100,9 @@ def test_dampers_of_a_building_deviate_from_the_laws_alike(predictor, tmp_path):
 
 
 def test_dampers_begin_without_load_where_the_tests_did(tmp_path):
-    backlash = make_predictor("backlash", starts=Starts(None, 0.8), scatter=0.15, level_sd=0.03)
+    backlash = make_predictor(
+        "backlash", starts=InitialGapPrior(None, 0.8), scatter=0.15, level_sd=0.03
+    )
     found = dampers(backlash, tmp_path, 1, *2 * ['"1000 psi"'])
     loads, model = [], backlash.model
     for theta, start in zip(found.theta.swapaxes(0, 1), found.start.T, strict=True):

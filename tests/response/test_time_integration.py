@@ -112,8 +112,8 @@ def test_one_storey_moves_as_a_linear_one_under_the_force_that_its_model_predict
 def test_draws_do_not_meet_each_other():
     building, ground, draws = shear_building(2), shaking(60, peak=300.0), 60
     dampers, rows = bouc_wen(draws, 2, spread=1.0), np.array([0, draws // 2, draws - 1])
-    together = integrate(building, ground, dampers, FINE, kept=draws)
-    alone = integrate(building, ground, dampers.chosen(rows), FINE, kept=3)
+    together = integrate(building, ground, dampers, FINE, count=draws)
+    alone = integrate(building, ground, dampers.chosen(rows), FINE, count=3)
     assert np.unique(together.steps).size > 1
     assert np.allclose(together.drift[rows], alone.drift, rtol=1e-6)
     assert np.allclose(together.histories[0][rows], alone.histories[0], atol=1e-5)

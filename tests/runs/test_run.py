@@ -38,7 +38,7 @@ def test_tests_are_a_mapping_that_cannot_be_changed(run):
 
 @pytest.mark.parametrize("name", ["zz", None, 5, ["a"]])
 def test_what_is_said_of_a_test_that_is_not_there_is_a_sentence(run, trace, name):
-    for call in (run.session, run.place, lambda name: run.departures(trace, name or "zz")):
+    for call in (run.session, run.place, lambda name: run.extrapolations(trace, name or "zz")):
         with pytest.raises(NotThereError, match=r"the run has no test .*: there are"):
             call(name)
 

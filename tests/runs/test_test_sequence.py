@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.population.bands import Forecast, Predictor
+from mfd_bayes.population.bands import PredictionOptions, Predictor
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.runs.test_sequence import TestSequence
 
-FORECAST = Forecast(draws=20)
+FORECAST = PredictionOptions(draws=20)
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import pytest
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.tested_range import (
     conditions_of,
-    departures,
-    far_sentences,
+    extrapolation_messages,
+    extrapolations,
     kind_sentence,
     range_of,
     reach_of,
@@ -28,7 +28,7 @@ RANGE = range_of(map(conditions_of, (sine(0.5, 0.25, 0.5), sine(1.0, 0.5, 1.5)))
 
 
 def left(*motion):
-    return {d.reached.name: d for d in departures(RANGE, reach_of(sine(*motion), "ksi"))}
+    return {d.reached.name: d for d in extrapolations(RANGE, reach_of(sine(*motion), "ksi"))}
 
 
 def test_the_range_holds_all_tests():
@@ -57,7 +57,7 @@ def test_what_lies_outside_is_said():
         assert found[name].far is far
         words = f"lies {'far outside' if far else 'outside'} the tested range"
         assert words in found[name].sentence(US)
-        assert (name in far_sentences(found.values(), US)) == far
+        assert (name in extrapolation_messages(found.values(), US)) == far
 
 
 def test_what_lies_inside_is_not_said_and_how_many_times_is():
@@ -76,7 +76,7 @@ def test_a_history_reaches_from_its_least_to_its_largest_actuation():
         ((0.1, 1.505), "100 to 1505 psi", 0.2),  # 1.505 counts as tested
     ):
         history = Trace.from_arrays(time, np.sin(np.pi * time), np.linspace(*ends, 801))
-        (departure,) = departures(RANGE, reach_of(history, "ksi"))
+        (departure,) = extrapolations(RANGE, reach_of(history, "ksi"))
         assert departure.reached.words(US) == words
         assert departure.times == pytest.approx(times)
         assert departure.far

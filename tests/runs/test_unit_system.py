@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mfd_bayes.messages import Message, Quantity
+from mfd_bayes.messages import Measure, Message
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.unit_system import SI, SI_SMALL, US, both_systems, named_system, system_of
 
@@ -43,7 +43,7 @@ def test_actuations_and_stiffness_per_actuation():
 
 
 def test_quantities_of_a_sentence_are_written_in_the_units_of_the_reader_and_text_stays():
-    gap = Quantity.of(0.2, 0.3, unit="in")
+    gap = Measure.of(0.2, 0.3, unit="in")
     message = Message("the gap of {test} is {gap}, {{sic}}", {"test": "2 in", "gap": gap})
     assert str(message) == message.to_text(US) == "the gap of 2 in is 0.2 to 0.3 in, {sic}"
     assert message.to_text(SI) == "the gap of 2 in is 5.08 to 7.62 mm, {sic}"

@@ -69,7 +69,7 @@ def narrow_priors(sampled: Iterable[str] = QUANTITIES, **medians: float) -> Prio
     shipped = load_priors("mfd")
     parameters = dict(shipped.parameters) | narrow
     for name in set(parameters) - set(sampled):
-        parameters[name] = Prior("fixed", {"value": middle.get(name, parameters[name].typical)})
+        parameters[name] = Prior("fixed", {"value": middle.get(name, parameters[name].median)})
     return replace(shipped, parameters=parameters)
 
 

@@ -21,8 +21,8 @@ NOISE = 0.2
 class Linear(Model):
     name = "linear"
     quantities = (
-        Quantity("sigma2", "damping", "c", "dashpot", least=-np.inf),
-        Quantity("k2", "stiffness", "k", "spring", least=-np.inf),
+        Quantity("sigma2", "damping", "c", "dashpot", lower=-np.inf),
+        Quantity("k2", "stiffness", "k", "spring", lower=-np.inf),
     )
 
     def force(self, theta, trace, start=None, *, scales=None):

@@ -7,7 +7,7 @@ from mfd_bayes.calibration.diagnostics import Effort, check_predictive, measure_
 from mfd_bayes.calibration.noises import OU
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import load_priors
-from mfd_bayes.calibration.proposal import climb, find_modes, nearest_modes
+from mfd_bayes.calibration.proposal import find_modes, maximize, nearest_modes
 from mfd_bayes.calibration.result import Task, moves, quantiles_of
 from mfd_bayes.calibration.sampling import sample, sample_density
 from mfd_bayes.friction.three_stage import ThreeStage
@@ -32,7 +32,7 @@ def density(q):
 
 
 def modes_at(*places):
-    return tuple(climb(density, np.full(DIM, place), np.ones(DIM)) for place in places)
+    return tuple(maximize(density, np.full(DIM, place), np.ones(DIM)) for place in places)
 
 
 @pytest.fixture(scope="module")

@@ -62,15 +62,15 @@ def _effect_cells(row: Any) -> tuple[str, ...]:
 
 def parse_limits(texts: tuple[str, ...]) -> dict[str, float]:
     """Limits of texts such as "slip=15 %"."""
-    found = {}
+    limits = {}
     for text in texts:
         read = _LIMIT.fullmatch(text)
         if read is None:
             raise CampaignError(
                 f"--limit reads 'slip=15 %', with {', '.join(LIMITS)} or all, got {text!r}"
             )
-        found[read[1]] = float(read[2]) / (100.0 if read[3] else 1.0)
-    return found
+        limits[read[1]] = float(read[2]) / (100.0 if read[3] else 1.0)
+    return limits
 
 
 def accept_records(options: AcceptOptions) -> tuple[tuple[Acceptance, ...], tuple[Path, ...]]:
@@ -103,30 +103,30 @@ def _write_acceptance(
     today, manifest, folder = datetime.now(UTC).date().isoformat(), run.manifest, options.folder
     names = [name for name in run.devices if name]
     compared = f"{len(names)} devices ({', '.join(names)})" if names[1:] else "one device"
-    made = (
+    provenance = (
         f"{manifest.title}, {run.folder.resolve().name} (seed {manifest.seed}, {manifest.finished})"
     )
     actuation = {"actuation": options.actuation} if run.system.axes.actuated else {}
-    heading = [f"run {made}", *(f"actuation {level}" for level in actuation.values())]
+    heading = [f"run {provenance}", *(f"actuation {level}" for level in actuation.values())]
     heading.append(f"date {today}")
     heading += [f"{d.device}: {d.sentence}" for d in devices]
     write_text(folder / "acceptance.csv", to_csv(acceptance_table(devices, run.system), heading))
     pages: list[Path] = []
     for device in devices:
-        about = {
+        facts = {
             f"record {i}": f"{c.record.path.name}, SHA-256 {c.record.sha256}"
             for i, c in enumerate(device.comparisons, start=1)
         }
-        about |= {
+        facts |= {
             **actuation,
-            "compared with": f"{made}: {len(run.tests)} calibrated tests of {compared}",
+            "compared with": f"{provenance}: {len(run.tests)} calibrated tests of {compared}",
             "program": f"mfd_bayes {manifest.versions.get('mfd_bayes', '')}",
         }
         name = re.sub(r"[^\w+-]+", "_", device.device).strip("_")[:80] or "device"
         path = folder / f"{name}.html"
         if path in pages:
             path = folder / f"{name}_{len(pages) + 1}.html"
-        write_text(path, acceptance_page(device, about, today, len(devices), run.system))
+        write_text(path, acceptance_page(device, facts, today, len(devices), run.system))
         pages.append(path)
     picture = folder / "acceptance.png"
     if len(devices) > 1:

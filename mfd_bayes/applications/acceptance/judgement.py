@@ -31,13 +31,13 @@ from scipy import special
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.evaluation.properties import (
     UNITS,
-    kept,
+    applicable,
     measured_of,
     measured_properties,
     properties_of,
     without_noise,
 )
-from mfd_bayes.evaluation.scores import Fan, Interval
+from mfd_bayes.evaluation.scores import Interval, QuantileBand
 from mfd_bayes.evaluation.views import DEFAULT_LIMITS
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import CONDITIONS
@@ -47,7 +47,7 @@ from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.tested_range import far_sentences
+from mfd_bayes.runs.tested_range import extrapolation_messages
 from mfd_bayes.units import DAMPER, Axes, factor
 
 if TYPE_CHECKING:
@@ -145,8 +145,8 @@ def accept(
             f"and {len(names)} devices"
         )
     allowed = complete_limits(limits or run.manifest.settings.limits or DEFAULT_LIMITS)
-    for quantity, those in run.population.design.dependence.items():
-        for name in {*those} & {*CONDITIONS} - {*(conditions or {})}:
+    for quantity, covariates in run.population.design.dependence.items():
+        for name in {*covariates} & {*CONDITIONS} - {*(conditions or {})}:
             raise CampaignError(
                 f"{quantity} of this run follows the {name}: say the {name} of the records"
             )
@@ -167,15 +167,15 @@ def accept(
     )
 
 
-def complete_limits(given: Mapping[str, float]) -> dict[str, float]:
+def complete_limits(limits: Mapping[str, float]) -> dict[str, float]:
     """Limit of each quantity that has one, by the quantity's name."""
-    for name, value in given.items():
+    for name, value in limits.items():
         if name not in (*LIMITS, "all"):
             raise CampaignError(f"no limit {name!r}: there are {', '.join(LIMITS)} and all")
         if not 0.0 < value < 1.0:
             raise CampaignError(f"the limit of {name} must be above 0 and below 100 %, got {value}")
-    each = {name: given.get(kind, given.get("all")) for name, (kind, *_) in QUANTITIES.items()}
-    return {name: value for name, value in each.items() if value is not None and name != "loop"}
+    by_name = {name: limits.get(kind, limits.get("all")) for name, (kind, *_) in QUANTITIES.items()}
+    return {name: value for name, value in by_name.items() if value is not None and name != "loop"}
 
 
 def trace_of(run: Run, record: Record) -> Trace:
@@ -191,7 +191,7 @@ def trace_of(run: Run, record: Record) -> Trace:
     trace = record.trace(run.manifest.settings.campaign.rate, gap=gap)
     if not np.isfinite(trace.reference_actuation):
         raise RecordError(f"{record.path} needs an actuation")
-    if far := far_sentences(run.departures(trace), run.system):
+    if far := extrapolation_messages(run.extrapolations(trace), run.system):
         raise RecordError(f"{record.path}: {far}")
     return trace
 
@@ -220,42 +220,47 @@ def expect(
         return run.predict(motion, kind, 1.0 - ALPHA, device=of, **place)
 
     def quantities(band: Band, smooth: Band, excess: Peaks) -> dict[str, Array]:
-        values = kept(_quantities(motion, band, smooth, excess), run.system.axes)
+        values = applicable(_quantities(motion, band, smooth, excess), run.system.axes)
         return {name: value * resolution.get(name, 1.0) for name, value in values.items()}
 
     def nominal_of(of: str) -> dict[str, Array]:
         band = predict("mean", of)
         return quantities(band, band, certain(peaks))
 
-    known = [name for name in run.devices if name]
-    nominal, seen = nominal_of(device), predict("observation", device)
-    among = own = quantities(seen, predict("new_test", device), peaks)
-    if device not in known and len(run.devices) > 1:  # tests of a known one scatter as its own do
-        one, itself = known[0], nominal_of(known[0])
-        own = quantities(predict("observation", one), predict("new_test", one), peaks)
-        own = {n: v * nominal[n] / itself[n] if n in nominal else v for n, v in own.items()}
-    remarks = list(seen.remarks)
+    devices = [name for name in run.devices if name]
+    nominal, observed = nominal_of(device), predict("observation", device)
+    any_device = this_device = quantities(observed, predict("new_test", device), peaks)
+    if device not in devices and len(run.devices) > 1:  # tests of a known one scatter as its own do
+        reference, reference_nominal = devices[0], nominal_of(devices[0])
+        this_device = quantities(
+            predict("observation", reference), predict("new_test", reference), peaks
+        )
+        this_device = {
+            n: v * nominal[n] / reference_nominal[n] if n in nominal else v
+            for n, v in this_device.items()
+        }
+    remarks = list(observed.remarks)
     for name, ratio in ratios.items():
         if name in nominal and ratio > 1.0:
-            own, among = (
+            this_device, any_device = (
                 {**of, name: nominal[name] * (of[name] / nominal[name]) ** ratio}
-                for of in (own, among)
+                for of in (this_device, any_device)
             )
             remarks.append(
                 f"the {run.system.axes.text(_words(name))} of the calibrated tests scatters "
                 f"{ratio:.1f} times as much as the population says: its intervals are widened by "
                 "that"
             )
-    band = Interval(1.0 - ALPHA, seen.lower, seen.upper)
-    fan = Fan("observation", seen.median, (band,))
-    return Expected(nominal, own, among, fan, tuple(dict.fromkeys(remarks)))
+    band = Interval(1.0 - ALPHA, observed.lower, observed.upper)
+    fan = QuantileBand("observation", observed.median, (band,))
+    return Expected(nominal, this_device, any_device, fan, tuple(dict.fromkeys(remarks)))
 
 
 def _words(name: str) -> str:
     return " ".join(QUANTITIES[name][1:]).strip()
 
 
-def at_rate(run: Run, motion: Trace, place: Mapping[str, Any], rate: float) -> dict[str, float]:
+def at_rate(run: Run, motion: Trace, options: Mapping[str, Any], rate: float) -> dict[str, float]:
     """Factor of what is read off few samples: at the rate of a record over that of a motion.
 
     A record has more samples than the traces of calibrated tests.
@@ -263,10 +268,10 @@ def at_rate(run: Run, motion: Trace, place: Mapping[str, Any], rate: float) -> d
     from scipy import interpolate  # which takes long to import
 
     step = float(np.median(np.diff(motion.time)))
-    more = int(np.clip(round(rate * step), 1, FINEST))
-    if more == 1:
+    refinement = int(np.clip(round(rate * step), 1, FINEST))
+    if refinement == 1:
         return {}
-    time = np.linspace(motion.time[0], motion.time[-1], more * (motion.samples - 1) + 1)
+    time = np.linspace(motion.time[0], motion.time[-1], refinement * (motion.samples - 1) + 1)
     path = interpolate.CubicSpline(motion.time, motion.displacement)(time)
     actuation = motion.actuation
     if motion.varying:
@@ -274,7 +279,7 @@ def at_rate(run: Run, motion: Trace, place: Mapping[str, Any], rate: float) -> d
     finer = replace(Trace.from_arrays(time, path, actuation), timed=motion.timed)
     values = []
     for trace in (finer, motion):
-        band = run.predict(trace, "new_test", **{**place, "draws": FEW // 2})
+        band = run.predict(trace, "new_test", **{**options, "draws": FEW // 2})
         values.append(_quantities(trace, band, band, NO_EXCESS))
     fine, coarse = values
     with np.errstate(all="ignore"):
@@ -291,21 +296,23 @@ def birge_ratios(run: Run) -> dict[str, float]:
     """
     peaks, sizes = run.peaks, dict[str, list[float]]()
     for name, test in run.tests.items():
-        trace, place = test.trace, {**run.place(name), "draws": FEW}
+        trace, options = test.trace, {**run.place(name), "draws": FEW}
         motion = replace(trace, force=None)
-        seen, smooth = (run.predict(motion, kind, **place) for kind in ("observation", "new_test"))
+        observed, smooth = (
+            run.predict(motion, kind, **options) for kind in ("observation", "new_test")
+        )
         measured = measured_properties(measured_of(run.manifest, name))
         resolution = at_rate(run, motion, run.place(name), run.manifest.tests[name].record_rate)
-        for quantity, values in _quantities(motion, seen, smooth, peaks).items():
+        for quantity, values in _quantities(motion, observed, smooth, peaks).items():
             logs = np.log(values[np.isfinite(values)]) + np.log(resolution.get(quantity, 1.0))
             value = measured.get(quantity, np.nan)
             if logs.size > 0.5 * FEW and value > 0.0:
                 sizes.setdefault(quantity, []).append((np.log(value) - logs.mean()) / logs.std())
     ratios = {}
-    for quantity, some in sizes.items():
-        squares = float(np.sum(np.square(some)))
-        chance = special.chdtrc(len(some), squares) >= ALPHA
-        ratios[quantity] = 1.0 if chance else float(np.sqrt(squares / len(some)))
+    for quantity, deviations in sizes.items():
+        squares = float(np.sum(np.square(deviations)))
+        chance = special.chdtrc(len(deviations), squares) >= ALPHA
+        ratios[quantity] = 1.0 if chance else float(np.sqrt(squares / len(deviations)))
     return ratios
 
 
@@ -313,21 +320,21 @@ def compare_record(record: Record, trace: Trace, expected: Expected) -> Compared
     """A record with what was expected of it; its values are those of its own samples."""
     cycles = measured_cycles(record.trace())
     assert cycles is not None  # a trace with a force has them
-    away = np.asarray(trace.force) - expected.fan.median
-    measured = measured_properties(cycles) | {"loop": float(np.sqrt(np.mean(away**2)))}
-    shown = {
+    residual = np.asarray(trace.force) - expected.fan.median
+    measured = measured_properties(cycles) | {"loop": float(np.sqrt(np.mean(residual**2)))}
+    values = {
         name: measured[name]
         for name in QUANTITIES
         if name in expected.device
         and np.isfinite(measured.get(name, np.nan))
         and np.isfinite(expected.device[name]).mean() >= 1.0 - ALPHA  # else it may be zero
     }
-    if wrong := [name for name, value in shown.items() if not value > 0.0]:
+    if wrong := [name for name, value in values.items() if not value > 0.0]:
         raise RecordError(
-            f"{record.path}: the {_words(wrong[0])} is {shown[wrong[0]]:.3g}, and must be above "
+            f"{record.path}: the {_words(wrong[0])} is {values[wrong[0]]:.3g}, and must be above "
             "zero; is a sign swapped? See mfd-bayes inspect"
         )
-    return ComparedRecord(record, trace, shown, expected)
+    return ComparedRecord(record, trace, values, expected)
 
 
 def _quantities(trace: Trace, band: Band, smooth: Band, peaks: Peaks) -> dict[str, Array]:
@@ -365,34 +372,38 @@ class Level:
         rng = np.random.default_rng(0)
         measured = np.mean([[np.log(c.measured[n]) for n in names] for c in group], axis=0)
 
-        def level(which: str) -> Array:
-            each = [
-                _logs(c.expected, which, names, rng if i and independent else None)
+        def level(kind: str) -> Array:
+            logs = [
+                _logs(c.expected, kind, names, rng if i and independent else None)
                 for i, c in enumerate(group)
             ]
-            return np.asarray(np.mean(each, axis=0))
+            return np.asarray(np.mean(logs, axis=0))
 
-        device, among = level("device"), level("among")
+        device, any_device = level("device"), level("among")
         mean, sd = device.mean(axis=0), np.maximum(device.std(axis=0), 1e-9)
         two_sided = np.array([name != "loop" for name in names])  # a near loop is no difference
-        size, own = (
-            np.where(two_sided, np.abs(away), away)
-            for away in ((device - mean) / sd, (measured - mean) / sd)
+        size, measured_size = (
+            np.where(two_sided, np.abs(z), z)
+            for z in ((device - mean) / sd, (measured - mean) / sd)
         )
         largest = size.max(axis=1)
-        above, below = (1.0 + np.sum(s, axis=0) for s in (device >= measured, device <= measured))
-        single = np.where(two_sided, 2.0 * np.minimum(above, below), above) / (1.0 + len(device))
-        p = (1.0 + np.sum(largest[:, None] >= own, axis=0)) / (1.0 + len(largest))
+        n_above, n_below = (
+            1.0 + np.sum(s, axis=0) for s in (device >= measured, device <= measured)
+        )
+        single = np.where(two_sided, 2.0 * np.minimum(n_above, n_below), n_above) / (
+            1.0 + len(device)
+        )
+        p = (1.0 + np.sum(largest[:, None] >= measured_size, axis=0)) / (1.0 + len(largest))
         p = np.minimum(np.maximum(p, single), 1.0)
         critical = float(np.quantile(largest, 1.0 - ALPHA))
-        return cls(names, measured, device, among, p, own, critical)
+        return cls(names, measured, device, any_device, p, measured_size, critical)
 
 
 def _logs(
-    expected: Expected, which: str, names: Sequence[str], rng: np.random.Generator | None
+    expected: Expected, kind: str, names: Sequence[str], rng: np.random.Generator | None
 ) -> Array:
     """Logarithms of draws, (n, K); with `rng`, of tests that scatter by themselves."""
-    columns, draws = [], getattr(expected, which)
+    columns, draws = [], getattr(expected, kind)
     order = None if rng is None else rng.permutation(len(draws["loop"]))
     for name in names:
         nominal = np.log(expected.nominal.get(name, np.ones(len(draws[name]))))
@@ -425,33 +436,33 @@ def judge(
     for k, name in enumerate(level.names):
         _, words, direction = QUANTITIES[name]
         effect, p_value = level.measured[k] - level.device[:, k], float(level.p_values[k])
-        among, sd = np.exp(level.among[:, k]), float(effect.std())
+        any_device, sd = np.exp(level.among[:, k]), float(effect.std())
         low, middle, high = 100.0 * np.expm1(np.quantile(effect, [ALPHA, 0.5, 1.0 - ALPHA]))
         detectable = 100.0 * float(np.expm1((level.critical + special.ndtri(0.8)) * sd))
         if name == "loop":
             low = middle = high = detectable = np.nan
         differs = p_value < ALPHA and p_batch < ALPHA
-        limit, beyond, power = limits.get(name, np.nan), np.nan, np.nan
+        limit, p_beyond, power = limits.get(name, np.nan), np.nan, np.nan
         verdict = "differs" if differs else "like the others"
         if name in limits:
-            beyond = float(np.mean(np.abs(np.expm1(effect)) > limit))
+            p_beyond = float(np.mean(np.abs(np.expm1(effect)) > limit))
             power = float(special.ndtr(np.log1p(limit) / sd - level.critical))
-            verdict = "beyond the limit" if beyond > 0.5 and differs else "cannot tell"
-            verdict = "within the limit" if beyond <= ALPHA else verdict
+            verdict = "beyond the limit" if p_beyond > 0.5 and differs else "cannot tell"
+            verdict = "within the limit" if p_beyond <= ALPHA else verdict
         rows[name] = {
             "quantity": axes.text(words),
             "direction": direction,
             "unit": UNITS.get(name, "kip"),
             "measured": float(np.exp(level.measured[k])),
             "nominal": float(np.exp(np.median(level.device[:, k]))),
-            "lower": float(np.quantile(among, 0.5 * ALPHA)),
-            "upper": float(np.quantile(among, 1.0 - 0.5 * ALPHA)),
+            "lower": float(np.quantile(any_device, 0.5 * ALPHA)),
+            "upper": float(np.quantile(any_device, 1.0 - 0.5 * ALPHA)),
             "percentile": 100.0 * float(np.mean(level.among[:, k] < level.measured[k])),
             "effect": float(middle),
             "effect_lower": float(low),
             "effect_upper": float(high),
             "limit": 100.0 * limit,
-            "beyond_limit": beyond,
+            "beyond_limit": p_beyond,
             "p_value": p_value,
             "detectable": detectable,
             "power": power,
@@ -461,9 +472,9 @@ def judge(
     size = dict(zip(level.names, level.sizes, strict=True))
     # where something differs, slip forces are named before what is read off at shares of them
     slips = [n for n in size if differing and n.startswith("slip") and size[n] > ALONE]
-    others = [n for n in differing if n in RESOLVED]
-    first = slips or others or differing
-    named = max(first, key=lambda name: size[name], default="")
+    resolved = [n for n in differing if n in RESOLVED]
+    candidates = slips or resolved or differing
+    named = max(candidates, key=lambda name: size[name], default="")
     verdicts = {row["verdict"] for row in rows.values() if np.isfinite(row["limit"])}
     verdict = "accepted" if verdicts == {"within the limit"} else "cannot tell"
     verdict = "rejected" if "beyond the limit" in verdicts else verdict
@@ -479,12 +490,12 @@ def _wrong_unit(rows: Mapping[str, Row], group: Sequence[ComparedRecord]) -> str
     for role, names in (("force", ("slip_fwd", "slip_bwd")), ("displacement", ("gap",))):
         ratios = [rows[n]["measured"] / rows[n]["nominal"] for n in names if n in rows]
         read, mean = group[0].record.columns[role][1], float(np.log(ratios or [1.0]).mean())
-        off = {u: np.log(factor(read, role) / factor(u, role)) - mean for u in RECORD_UNITS[role]}
-        unit = min(off, key=lambda unit: abs(off[unit]))
-        if abs(mean) > LARGE and unit != read and abs(off[unit]) < 0.5 * abs(mean):
+        shift = {u: np.log(factor(read, role) / factor(u, role)) - mean for u in RECORD_UNITS[role]}
+        unit = min(shift, key=lambda unit: abs(shift[unit]))
+        if abs(mean) > LARGE and unit != read and abs(shift[unit]) < 0.5 * abs(mean):
             return (
                 f"The {role} is {np.exp(mean):.3g} times that of the others: is its unit wrong? It "
-                f"was read in {read}, and in {unit} it would be {np.exp(-off[unit]):.2f} times."
+                f"was read in {read}, and in {unit} it would be {np.exp(-shift[unit]):.2f} times."
             )
     return ""
 
@@ -501,28 +512,28 @@ def _sentence(verdict: str, rows: Mapping[str, Row], named: str) -> str:
     def those(verdict: str) -> str:
         return ", ".join(words(row) for row in limited.values() if row["verdict"] == verdict)
 
-    first = {
+    conclusion = {
         "accepted": f"Accepted: all {len(limited)} quantities with a limit lie within it.",
         "rejected": f"Rejected: beyond the limit: {those('beyond the limit')}.",
         "cannot tell": f"Cannot tell with this record: {those('cannot tell')}.",
     }[verdict]
-    about, row = "", rows.get(named)
+    detail, row = "", rows.get(named)
     if row is not None:
-        what = words(row)
+        quantity = words(row)
         if named != "loop":
-            what += (
+            quantity += (
                 f", {row['effect']:+.0f} % ({100 - 200 * ALPHA:.0f} % interval "
                 f"{row['effect_lower']:+.0f} to {row['effect_upper']:+.0f} %)"
             )
-        about = f" It differs from the others, most in {what}."
+        detail = f" It differs from the others, most in {quantity}."
         if row["p_value"] >= ALPHA:
-            about = (
-                f" It differs from the others; look first at the {what}: what is read off at "
+            detail = (
+                f" It differs from the others; look first at the {quantity}: what is read off at "
                 "shares of it follows it."
             )
     worst = min(limited.values(), key=lambda row: row["power"])
     return (
-        f"{first}{about} Power: if the {words(worst)} were off by its limit of "
+        f"{conclusion}{detail} Power: if the {words(worst)} were off by its limit of "
         f"{worst['limit']:.0f} %, such a record would show it with a probability of "
         f"{worst['power']:.2f}, and a fault of any other quantity more surely. A deviation of "
         f"{worst['detectable']:.0f} % would be shown in four cases of five."
@@ -539,7 +550,7 @@ class Expected:
     nominal: Mapping[str, Array]  # draws (n,) of the nominal value of each quantity
     device: Mapping[str, Array]  # of a record of a device at the nominal value
     among: Mapping[str, Array]  # of a record of any device
-    fan: Fan  # band of a record of any device
+    fan: QuantileBand  # band of a record of any device
     remarks: tuple[str, ...]
 
 

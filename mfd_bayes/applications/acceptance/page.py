@@ -18,29 +18,29 @@ from mfd_bayes.reporting.symbols import (
 from mfd_bayes.reporting.tables import (
     to_units,
 )
-from mfd_bayes.runs.unit_system import System
+from mfd_bayes.runs.unit_system import UnitSystem
 from mfd_bayes.units import in_digits
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-def acceptance_table(devices: Sequence[Acceptance], system: System) -> pd.DataFrame:
+def acceptance_table(devices: Sequence[Acceptance], system: UnitSystem) -> pd.DataFrame:
     """A row for each device and quantity, in the units of a system."""
     import pandas as pd
 
-    parts = []
-    for each in devices:
+    frames = []
+    for device in devices:
         head = {
-            "device": each.device,
-            "records": "; ".join(c.record.path.name for c in each.comparisons),
-            "device_verdict": each.verdict,
-            "device_p_value": each.p_value,
-            "device_p_batch": each.p_batch,
+            "device": device.device,
+            "records": "; ".join(c.record.path.name for c in device.comparisons),
+            "device_verdict": device.verdict,
+            "device_p_value": device.p_value,
+            "device_p_batch": device.p_batch,
         }
-        rows = each.rows.rename(columns={"p_value": "p_adjusted"})
-        parts.append(pd.DataFrame([head] * len(rows)).join(rows.reset_index(names="name")))
-    return to_units(pd.concat(parts, ignore_index=True), system)
+        rows = device.rows.rename(columns={"p_value": "p_adjusted"})
+        frames.append(pd.DataFrame([head] * len(rows)).join(rows.reset_index(names="name")))
+    return to_units(pd.concat(frames, ignore_index=True), system)
 
 
 # --- devices that are compared with the others
@@ -59,15 +59,15 @@ def draw_batch(devices: Sequence[Acceptance]) -> Any:
     figure = new_figure(width, 1.6 + 0.24 * len(devices), "Devices against the others")
     grid = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     for axes, name in zip(grid, names, strict=True):
-        own = table.xs(name, level=1)
-        colours = [VERDICTS.get(verdict, "#b8860b") for verdict in own["verdict"]]
-        axes.hlines(own.index, own["effect_lower"], own["effect_upper"], colors=colours)
-        axes.scatter(own["effect"], own.index, s=16, c=colours)
-        first = own.iloc[0]
-        for limit in (first["limit"], -first["limit"]) if np.isfinite(first["limit"]) else ():
+        effects = table.xs(name, level=1)
+        colours = [VERDICTS.get(verdict, "#b8860b") for verdict in effects["verdict"]]
+        axes.hlines(effects.index, effects["effect_lower"], effects["effect_upper"], colors=colours)
+        axes.scatter(effects["effect"], effects.index, s=16, c=colours)
+        row = effects.iloc[0]
+        for limit in (row["limit"], -row["limit"]) if np.isfinite(row["limit"]) else ():
             axes.axvline(limit, color="#666666", linestyle="--", linewidth=0.8)
         axes.axvline(0.0, color="#666666", linewidth=0.6)
-        axes.set_title(f"{first['quantity']}\n{first['direction']}", fontsize=7)
+        axes.set_title(f"{row['quantity']}\n{row['direction']}", fontsize=7)
         axes.set_xlabel("%", fontsize=7)
         axes.tick_params(labelsize=7)
     grid[0].set_yticks(range(len(devices)))
@@ -83,22 +83,22 @@ LOOPS = 2
 
 
 def acceptance_page(
-    device: Acceptance, about: Mapping[str, str], today: str, batch: int, system: System
+    device: Acceptance, facts: Mapping[str, str], today: str, batch: int, system: UnitSystem
 ) -> str:
     """HTML of the page of a device, which prints on one sheet of A4."""
     from mfd_bayes.reporting.figures import draw_loops, to_png
 
     pictures = []
     for comparison in device.comparisons[:LOOPS]:
-        shown = comparison.trace, [comparison.expected.fan]
-        png = to_png(draw_loops(comparison.record.path.name, *shown, system))
+        data = comparison.trace, [comparison.expected.fan]
+        png = to_png(draw_loops(comparison.record.path.name, *data, system))
         pictures.append(picture("", png)["uri"])
     return (
         environment()
         .get_template("acceptance.html.j2")
         .render(
             device=device,
-            about=about,
+            about=facts,
             rows=to_units(device.rows, system).to_dict("records"),
             number=_number,
             unit_text=symbols.unit_text,

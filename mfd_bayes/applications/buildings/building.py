@@ -50,8 +50,8 @@ Array = NDArray[np.float64]
 # --- the keys of a building file, and which values each may have
 
 
-def _quantity(what: str) -> Callable[[str], float]:
-    return lambda text: parse_quantity(text, what)
+def _quantity(kind: str) -> Callable[[str], float]:
+    return lambda text: parse_quantity(text, kind)
 
 
 def _mass(text: str) -> float:
@@ -105,13 +105,13 @@ Positive = Annotated[int, Field(ge=1)]
 Floor = Annotated[int, Field(ge=0)]
 
 
-class Part(BaseModel):
+class BuildingTable(BaseModel):
     """A table of a building file; unknown keys, NaN and infinity are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class Damping(Part):
+class Damping(BuildingTable):
     """Damping of the structure itself."""
 
     kind: Literal["rayleigh", "modal", "none"] = "rayleigh"
@@ -119,7 +119,7 @@ class Damping(Part):
     modes: tuple[Positive, Positive] = (1, 2)
 
 
-class Storey(Part):
+class Storey(BuildingTable):
     """A storey and the floor above it; the first is the lowest."""
 
     mass: Mass | None = None
@@ -141,7 +141,7 @@ class Storey(Part):
         return self.mass if self.mass is not None else (self.weight or 0.0) / GRAVITY
 
 
-class Matrices(Part):
+class Matrices(BuildingTable):
     """A structure by its matrices, from CSV or .npy files beside the building file."""
 
     mass: str
@@ -152,7 +152,7 @@ class Matrices(Part):
     heights: tuple[Length, ...] | None = None
 
 
-class History(Part):
+class History(BuildingTable):
     """An actuation that changes in time, from a file with a column of the time."""
 
     file: str
@@ -164,7 +164,7 @@ def _kind(value: object) -> str:
     return ":table" if isinstance(value, dict) else ":list" if isinstance(value, list) else ":text"
 
 
-class Damper(Part):
+class Damper(BuildingTable):
     """One damper, or several at one place."""
 
     storey: Positive | None = None
@@ -192,7 +192,7 @@ class Damper(Part):
         return self
 
 
-class Limits(Part):
+class ResponseLimits(BuildingTable):
     """Limits whose probability of being passed is computed."""
 
     drift: Share | None = None
@@ -202,21 +202,21 @@ class Limits(Part):
     residual: Share | None = None
 
 
-class About(Part):
+class About(BuildingTable):
     """What the building is."""
 
     title: Annotated[str, Field(max_length=200)] = "Building"
     damping: Damping = Damping()
 
 
-class Content(Part):
+class Content(BuildingTable):
     """A whole building file."""
 
     building: About = About()
     storey: tuple[Storey, ...] = ()
     matrices: Matrices | None = None
     damper: tuple[Damper, ...] = ()
-    limits: Limits = Limits()
+    limits: ResponseLimits = ResponseLimits()
 
     @model_validator(mode="after")
     def _one_structure(self) -> Content:
@@ -234,7 +234,7 @@ KEYS: dict[str, Collection[str]] = {
     "units": ("mass", "stiffness", "damping"),
     "damper": Damper.model_fields,
     "actuation": History.model_fields,
-    "limits": Limits.model_fields,
+    "limits": ResponseLimits.model_fields,
 }
 """Keys that each table may have; "" is the file itself."""
 
@@ -307,7 +307,7 @@ class Building:
     yields: Array  # (S,), kip; infinite where a storey stays elastic
     storeys: Array  # (S,), kip/in, stiffness of the storeys that yield
     devices: tuple[Device, ...]
-    limits: Limits
+    limits: ResponseLimits
 
     @property
     def freedoms(self) -> int:
@@ -340,15 +340,15 @@ class Building:
 
         Where all are constant there are no times, and T is 1.
         """
-        given = [device.history[0] for device in self.devices if device.history is not None]
-        times = np.unique(np.concatenate(given)) if given else None
-        along = [
+        grids = [device.history[0] for device in self.devices if device.history is not None]
+        times = np.unique(np.concatenate(grids)) if grids else None
+        levels = [
             np.full(1 if times is None else times.size, device.actuation)
             if device.history is None
             else np.interp(device.history[0] if times is None else times, *device.history)
             for device in self.devices
         ]
-        return times, along
+        return times, levels
 
     def at_level(self, actuation: float) -> Building:
         """The building with all dampers at one constant actuation, ksi or kip."""
@@ -369,28 +369,28 @@ def read_building(path: str | PathLike[str]) -> Building:
 
 def building_of(content: Content, path: Path) -> Building:
     """Building of a checked content; `path` is its file, beside which others are looked for."""
-    given = content.matrices
-    if given is not None:
-        mass, stiffness, dashpots = _matrices(given, path)
+    matrices = content.matrices
+    if matrices is not None:
+        mass, stiffness, dashpots = _matrices(matrices, path)
         size = len(mass)
-        for key, values in (("influence", given.influence), ("heights", given.heights)):
+        for key, values in (("influence", matrices.influence), ("heights", matrices.heights)):
             if values is not None and len(values) != size:
                 raise BuildingError(
                     f"matrices.{key} in {path} must have {size} values, got {len(values)}"
                 )
         drifts = np.eye(size) - np.eye(size, k=-1)
-        influence = np.array(given.influence or np.ones(size))
-        heights = np.array(given.heights or np.full(size, np.nan))
+        influence = np.array(matrices.influence or np.ones(size))
+        heights = np.array(matrices.heights or np.full(size, np.nan))
         storeys, yields = np.zeros(size), np.full(size, np.inf)
     else:
-        size, each = len(content.storey), content.storey
+        size, entries = len(content.storey), content.storey
         drifts = np.eye(size) - np.eye(size, k=-1)
-        storeys = np.array([storey.stiffness for storey in each])
-        yields = np.array([storey.yield_force or np.inf for storey in each])
-        heights = np.array([storey.height or np.nan for storey in each])
-        mass, influence = np.diag([storey.inertia for storey in each]), np.ones(size)
+        storeys = np.array([storey.stiffness for storey in entries])
+        yields = np.array([storey.yield_force or np.inf for storey in entries])
+        heights = np.array([storey.height or np.nan for storey in entries])
+        mass, influence = np.diag([storey.inertia for storey in entries]), np.ones(size)
         stiffness = drifts.T @ np.diag(storeys) @ drifts
-        dashpots = drifts.T @ np.diag([storey.dashpot for storey in each]) @ drifts
+        dashpots = drifts.T @ np.diag([storey.dashpot for storey in entries]) @ drifts
     for name, matrix in (("mass", mass), ("stiffness", stiffness)):
         squares = np.linalg.eigvalsh(matrix)
         if squares[0] <= 1e-14 * squares[-1]:
@@ -420,21 +420,21 @@ def damping_matrix(damping: Damping, building: Building, path: str) -> Array:
     Rayleigh: C = a M + b K with the ratio ζ at two modes, a = 2ζ ω1 ω2/(ω1 + ω2) and
     b = 2ζ/(ω1 + ω2). Modal: C = M Φ diag(2 ζ ω) Φᵀ M, with the ratio in all modes.
     """
-    dashpots, modes, given = building.damping, building.modes, damping.model_fields_set
-    if damping.kind == "none" or (np.any(dashpots) and not given & {"ratio", "kind"}):
+    dashpots, modes, fields = building.damping, building.modes, damping.model_fields_set
+    if damping.kind == "none" or (np.any(dashpots) and not fields & {"ratio", "kind"}):
         return dashpots  # they are the damping then
     ratio, omega = damping.ratio, modes.frequencies
     if damping.kind == "modal":
         towards = building.mass @ modes.shapes
         return towards @ np.diag(2.0 * ratio * omega) @ towards.T + dashpots
-    places = damping.modes if omega.size > 1 or "modes" in given else (1, 1)
+    places = damping.modes if omega.size > 1 or "modes" in fields else (1, 1)
     if max(places) > omega.size:
         raise BuildingError(
             f"building.damping.modes in {path}: the building has {omega.size} modes, got {places}"
         )
-    first, second = (float(omega[place - 1]) for place in places)
-    by_mass = 2.0 * ratio * first * second / (first + second)
-    by_stiffness = 2.0 * ratio / (first + second)
+    omega_1, omega_2 = (float(omega[number - 1]) for number in places)
+    by_mass = 2.0 * ratio * omega_1 * omega_2 / (omega_1 + omega_2)
+    by_stiffness = 2.0 * ratio / (omega_1 + omega_2)
     return by_mass * building.mass + by_stiffness * building.stiffness + dashpots
 
 
@@ -447,22 +447,24 @@ def _devices(damper: Damper, number: int, floors: int, path: Path) -> Iterator[D
             f"damper {number}.{key} in {path}: expected floors of 0, the ground, to {floors}, two "
             f"different ones, got {damper.between or damper.storey}"
         )
-    place = f"storey {upper}" if lower == upper - 1 else f"floors {lower} to {upper}"
-    brace, given = np.inf if damper.brace is None else damper.brace, damper.actuation
-    history = _history(given, place, path) if isinstance(given, History) else None
+    location = f"storey {upper}" if lower == upper - 1 else f"floors {lower} to {upper}"
+    brace, actuation = np.inf if damper.brace is None else damper.brace, damper.actuation
+    history = _history(actuation, location, path) if isinstance(actuation, History) else None
     for i in range(damper.count):
-        name = place if damper.count == 1 else f"{place}, no. {i + 1}"
-        if isinstance(given, History):
-            level, unit = np.nan, parse_actuation(f"1 {given.unit}")[1]
+        name = location if damper.count == 1 else f"{location}, no. {i + 1}"
+        if isinstance(actuation, History):
+            level, unit = np.nan, parse_actuation(f"1 {actuation.unit}")[1]
         else:
-            level, unit = parse_actuation(given[i] if isinstance(given, tuple) else given)
+            level, unit = parse_actuation(
+                actuation[i] if isinstance(actuation, tuple) else actuation
+            )
         yield Device(name, upper, lower, level, unit, damper.geometry, brace, history)
 
 
-def _history(history: History, place: str, path: Path) -> tuple[Array, Array]:
+def _history(history: History, location: str, path: Path) -> tuple[Array, Array]:
     """Times, s, and actuations, ksi or kip, of a damper's file."""
-    where = f"the actuation of {place}"
-    file = _file_beside(path.parent, history.file, where)
+    label = f"the actuation of {location}"
+    file = _file_beside(path.parent, history.file, label)
     try:
         table = read_table(file)
         times = [name for name in table.names if name.lower().startswith(("time", "t_", "t["))]
@@ -472,28 +474,32 @@ def _history(history: History, place: str, path: Path) -> tuple[Array, Array]:
         time = columns[times[0]] * factor(header_unit(times[0]) or "s", "time")
         level = columns[history.column] * actuation_factor(history.unit)[0]
     except MfdError as error:
-        raise BuildingError(f"{where}: {error}") from error
+        raise BuildingError(f"{label}: {error}") from error
     if time.size < 2 or not np.all(np.diff(time) > 0) or np.any(level < 0):
-        raise BuildingError(f"{where}: {file} must have growing times and no value below 0")
+        raise BuildingError(f"{label}: {file} must have growing times and no value below 0")
     return time, level
 
 
-def _matrices(given: Matrices, path: Path) -> tuple[Array, Array, Array]:
+def _matrices(entry: Matrices, path: Path) -> tuple[Array, Array, Array]:
     """Mass, stiffness and dashpots, (N, N) each, of files."""
-    found: dict[str, Array] = {}
+    matrices: dict[str, Array] = {}
     for key, unit in (("mass", "kip*s^2/in"), ("stiffness", "kip/in"), ("damping", "kip*s/in")):
-        name, where = getattr(given, key), f"matrices.{key} in {path}"
+        name, label = getattr(entry, key), f"matrices.{key} in {path}"
         if name is None:
             continue
         try:
-            by = convert(given.units.get(key, unit), unit)  # type: ignore[call-overload]
+            scale = convert(entry.units.get(key, unit), unit)  # type: ignore[call-overload]
         except UnitError as error:
             raise BuildingError(f"matrices.units.{key} in {path}: {error}") from error
-        found[key] = by * _matrix(_file_beside(path.parent, name, where), where)
-    if len({matrix.shape for matrix in found.values()}) > 1:
-        shapes = ", ".join(f"{key} {m.shape}" for key, m in found.items())
+        matrices[key] = scale * _matrix(_file_beside(path.parent, name, label), label)
+    if len({matrix.shape for matrix in matrices.values()}) > 1:
+        shapes = ", ".join(f"{key} {m.shape}" for key, m in matrices.items())
         raise BuildingError(f"matrices in {path} must be of one size, got {shapes}")
-    return found["mass"], found["stiffness"], found.get("damping", np.zeros_like(found["mass"]))
+    return (
+        matrices["mass"],
+        matrices["stiffness"],
+        matrices.get("damping", np.zeros_like(matrices["mass"])),
+    )
 
 
 def _matrix(path: Path, key: str) -> Array:
@@ -525,10 +531,10 @@ def _matrix(path: Path, key: str) -> Array:
 def _file_beside(folder: Path, name: str, key: str) -> Path:
     """Path of a file in a building file's folder; `key` is the place at which it is named."""
     try:
-        found = file_inside(folder, name)
+        path = file_inside(folder, name)
     except (OSError, RuntimeError, ValueError) as error:
         raise BuildingError(f"{key}: the file {name!r} cannot be found: {error}") from error
-    if found is None:
+    if path is None:
         raise BuildingError(
             f"{key}: the file {name!r} lies outside the folder of the building file"
         )

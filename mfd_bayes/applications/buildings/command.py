@@ -36,10 +36,10 @@ from mfd_bayes.reporting.page import Units, picture, render_page
 from mfd_bayes.reporting.symbols import unit_text
 from mfd_bayes.reporting.tables import escape_tex, to_csv
 from mfd_bayes.runs.folder import check_folder
-from mfd_bayes.runs.manifest import Use
+from mfd_bayes.runs.manifest import Fitness
 from mfd_bayes.runs.run import Run, open_run
-from mfd_bayes.runs.tested_range import Span
-from mfd_bayes.runs.unit_system import SI, SYSTEMS, System
+from mfd_bayes.runs.tested_range import Range
+from mfd_bayes.runs.unit_system import SI, SYSTEMS, UnitSystem
 from mfd_bayes.store.cards import counted
 from mfd_bayes.store.files import json_text, remove_file, write_bytes, write_text
 from mfd_bayes.units import GRAVITY
@@ -144,7 +144,7 @@ def _write_view(
 
 
 def view_of(
-    run: Run, response: Response, sweep: Sweep | None, options: RespondOptions, system: System
+    run: Run, response: Response, sweep: Sweep | None, options: RespondOptions, system: UnitSystem
 ) -> ResponseView:
     """What the page shows of a response."""
     dampers, grounds, rows = len(response.building.devices), response.grounds, response.rows()
@@ -154,7 +154,7 @@ def view_of(
             "no response to write; expected ground motions, and a building, that its dampers can "
             "bear"
         )
-    about = (
+    summary = (
         f"{response.draws} draws of kind {options.kind} of the device in "
         f"{run.folder.resolve().name}, {counted(dampers, 'damper')}, "
         f"{counted(len(grounds), 'ground motion')}, fundamental period "
@@ -165,9 +165,9 @@ def view_of(
         for name in ("drift", "acceleration")
         for g, ground in enumerate(grounds)
     ]
-    beyond, caution = beyond_tests(run, response), run.caution
-    stated = {*chain.from_iterable(beyond), caution}
-    mark, headline = _mark(response, beyond=any(beyond), use=run.use)
+    extrapolations, caution = beyond_tests(run, response), run.caution
+    stated = {*chain.from_iterable(extrapolations), caution}
+    mark, headline = _mark(response, extrapolated=any(extrapolations), use=run.use)
     imbalance = np.max(response.imbalance, where=~response.unstable, initial=0.0)
     facts = {
         "run": str(run.folder),
@@ -180,10 +180,10 @@ def view_of(
     }
     return ResponseView(
         title=f"{response.building.title}: response with dampers",
-        about=about,
+        about=summary,
         mark=mark,
         headline=headline,
-        verdict=_verdict(response, system, beyond, caution, shares),
+        verdict=_verdict(response, system, extrapolations, caution, shares),
         remarks=[remark for remark in response.remarks if remark not in stated],
         rows=rows,
         limits=response.limits(),
@@ -196,43 +196,47 @@ def view_of(
     )
 
 
-def _mark(response: Response, *, beyond: bool, use: str) -> tuple[str, str]:
+def _mark(response: Response, *, extrapolated: bool, use: str) -> tuple[str, str]:
     """Word of the verdict's colour, and the verdict in a few words.
 
     They rest on the draws that are not settled, on the tests and on the run.
     """
     bad = float(np.mean(response.unstable | response.unsettled))
-    if use == Use.NOT_USABLE:
+    if use == Fitness.NOT_USABLE:
         return "fail", "✗ The run is not usable"
     if response.unstable.mean() > 0.01:
         return "fail", "✗ Some draws diverged"
     if bad > 0.1:
         return "fail", f"✗ Drifts may be off by more than {100.0 * response.tolerance:.2g} %"
-    if beyond:
+    if extrapolated:
         return "care", "! Answered, but beyond the tests"
-    if bad or use == Use.WITH_CARE:
+    if bad or use == Fitness.WITH_CARE:
         return "care", "! Answered, with care"
     return "pass", "✓ Answered"
 
 
 def _verdict(
-    response: Response, system: System, beyond: list[list[str]], use: str, shares: Sequence[Row]
+    response: Response,
+    system: UnitSystem,
+    extrapolations: list[list[str]],
+    use: str,
+    shares: Sequence[Row],
 ) -> list[str]:
     """The answer in sentences, verdict first; beside each, where it lies beyond the tests."""
     sentences = []
     ratios = bool(np.all(np.isfinite(response.building.heights)))
-    by, unit = (100.0, "%") if ratios else (system.factor("in"), system.length)
-    scale = by / response.building.heights if ratios else by
+    factor, unit = (100.0, "%") if ratios else (system.factor("in"), system.length)
+    scale = factor / response.building.heights if ratios else factor
     for g, ground in enumerate(response.grounds):
         values = (response.drift_ratio if ratios else response.drift)[response.usable(g), g]
         if not len(values):
             sentences.append(f"{ground.name}: every draw diverged.")
             continue
-        low, middle, high = by * np.quantile(values.max(axis=1), [0.025, 0.5, 0.975])
-        without = float(np.max(response.bare.drift[0, g] * scale))
+        low, middle, high = factor * np.quantile(values.max(axis=1), [0.025, 0.5, 0.975])
+        bare = float(np.max(response.bare.drift[0, g] * scale))
         sentences.append(
             f"{ground.name}: the largest storey drift is {middle:.3g} {unit} (95 % band "
-            f"{low:.3g} to {high:.3g} {unit}); without dampers {without:.3g} {unit}."
+            f"{low:.3g} to {high:.3g} {unit}); without dampers {bare:.3g} {unit}."
         )
         ends = {
             name: float(np.max(response.references[name].drift[0, g] * scale))
@@ -241,22 +245,26 @@ def _verdict(
         }
         if ends:
             named = ", ".join(f"{name} {end:.3g} {unit}" for name, end in ends.items())
-            where = f"{ground.name}: with all dampers at their bound, {named}"
-            sentences.append(f"{where}{_not_bounding(ends, middle)}.")
+            label = f"{ground.name}: with all dampers at their bound, {named}"
+            sentences.append(f"{label}{_not_bounding(ends, middle)}.")
         if of_drift := shares[g]["shares"]:
-            rest = of_drift[REST]
+            remainder = of_drift[REST]
             source, share = max(
                 ((name, share) for name, share in of_drift.items() if name != REST),
                 key=lambda pair: pair[1],
             )
-            more = f"; {100 * rest:.0f} % is of no single source" if rest > share else ""
+            suffix = (
+                f"; {100 * remainder:.0f} % is of no single source" if remainder > share else ""
+            )
             sentences.append(
                 f"{ground.name}: {100 * share:.0f} % of the variance of the largest drift is "
-                f"{source}{more}."
+                f"{source}{suffix}."
             )
-        sentences += [f"{sentence}." for sentence in beyond[g]] if response.dampers.count else []
+        sentences += (
+            [f"{sentence}." for sentence in extrapolations[g]] if response.dampers.count else []
+        )
     sentences += _at_rest(response, scale, unit, system)
-    sentences += [f"{sentence}." for sentence in beyond[-1]]
+    sentences += [f"{sentence}." for sentence in extrapolations[-1]]
     sentences += [use] if use else []
     for limit in response.limits():
         if limit["draws"]:
@@ -277,7 +285,7 @@ def _not_bounding(ends: Mapping[str, float], median: float) -> str:
     return f": both are {side} the median of the draws and do not bound it, use the band"
 
 
-def _at_rest(response: Response, scale: Array | float, unit: str, system: System) -> list[str]:
+def _at_rest(response: Response, scale: Array | float, unit: str, system: UnitSystem) -> list[str]:
     """That the force of dampers at rest is subtracted, and how much it is; none where it is 0.
 
     `scale` takes drifts (S,), in, to what is shown in `unit`.
@@ -285,21 +293,21 @@ def _at_rest(response: Response, scale: Array | float, unit: str, system: System
     dampers, building = response.dampers, response.building
     if not dampers.count:
         return []
-    held = dampers.at_rest
-    if not np.any(np.abs(held) > 1e-3 * dampers.slip):
+    forces = dampers.at_rest
+    if not np.any(np.abs(forces) > 1e-3 * dampers.slip):
         return []
-    moved = np.linalg.solve(building.stiffness, building.travels.T @ held.T)
+    moved = np.linalg.solve(building.stiffness, building.travels.T @ forces.T)
     drift = np.max(np.abs(scale * (building.drifts @ moved).T), axis=1)
-    force, most = np.quantile([np.abs(held).max(axis=1), drift], 0.95, axis=1).tolist()
+    force, shift = np.quantile([np.abs(forces).max(axis=1), drift], 0.95, axis=1).tolist()
     return [
         "Drift is counted from the building at rest: the force that a damper holds there, in 95 % "
         f"of the draws up to {system.words([force], 'kip', 2)}, is subtracted; by itself it would "
-        f"move a storey by up to {most:.2g} {unit}."
+        f"move a storey by up to {shift:.2g} {unit}."
     ]
 
 
 def write_response(
-    folder: Path, response: Response, sweep: Sweep | None, view: ResponseView, system: System
+    folder: Path, response: Response, sweep: Sweep | None, view: ResponseView, system: UnitSystem
 ) -> None:
     """Write page, tables and pictures; what an earlier response left beside them is removed."""
     from mfd_bayes.applications.buildings.figures import figures_of
@@ -308,8 +316,8 @@ def write_response(
     for path in sorted(folder.glob("*")):  # files that not every response has
         if re.fullmatch(r"sweep\.(csv|png)|(history|loops)_\d+\.png", path.name):
             remove_file(path)
-    about = {"title": view.title, "verdict": view.verdict, "remarks": view.remarks}
-    write_text(folder / "response.json", response_json(view.rows, view.limits, about, system))
+    head = {"title": view.title, "verdict": view.verdict, "remarks": view.remarks}
+    write_text(folder / "response.json", response_json(view.rows, view.limits, head, system))
     write_text(folder / "peaks.tex", peaks_tex(view.rows, system))
     frames = {
         "peaks": peaks_frame(view.rows, system),
@@ -320,11 +328,11 @@ def write_response(
     for name, frame in frames.items():
         write_text(folder / f"{name}.csv", to_csv(frame.replace([np.inf, -np.inf], np.nan)))
     images = {}
-    for each in SYSTEMS:
-        for name, figure in figures_of(response, sweep, each):
-            images[f"{name}_{each.name}"] = to_png(figure)
-            if each is system:
-                write_bytes(folder / f"{name}.png", images[f"{name}_{each.name}"])
+    for target in SYSTEMS:
+        for name, figure in figures_of(response, sweep, target):
+            images[f"{name}_{target.name}"] = to_png(figure)
+            if target is system:
+                write_bytes(folder / f"{name}.png", images[f"{name}_{target.name}"])
     write_text(folder / "report.html", render_response(view, images))
 
 
@@ -363,7 +371,7 @@ def render_response(view: ResponseView, images: Mapping[str, bytes]) -> str:
     return render_page("response.html.j2", units, view=view, pictures=pictures)
 
 
-def shown_unit(unit: str, system: System) -> tuple[str, float]:
+def shown_unit(unit: str, system: UnitSystem) -> tuple[str, float]:
     """Unit in which a quantity is shown, and the factor to it: accelerations in g."""
     if unit == "in/s^2":
         return "g", 1.0 / GRAVITY
@@ -375,23 +383,23 @@ def shown_unit(unit: str, system: System) -> tuple[str, float]:
     return system.unit(unit), system.factor(unit)
 
 
-def _factor_and_name(unit: str, system: System) -> tuple[float, str]:
-    name, by = shown_unit(unit, system)
-    return by, unit_text(name) or name
+def _factor_and_name(unit: str, system: UnitSystem) -> tuple[float, str]:
+    name, factor = shown_unit(unit, system)
+    return factor, unit_text(name) or name
 
 
-def _in_system(row: Row, system: System) -> Row:
+def _in_system(row: Row, system: UnitSystem) -> Row:
     """A row in the unit in which a system shows it."""
-    unit, by = shown_unit(row["unit"], system)
+    unit, factor = shown_unit(row["unit"], system)
     figures = {
-        name: by * row[name] for name in ("median", "mean", "limit", *REFERENCES) if name in row
+        name: factor * row[name] for name in ("median", "mean", "limit", *REFERENCES) if name in row
     }
     if "bands" in row:
-        figures["bands"] = {p: [by * end for end in band] for p, band in row["bands"].items()}
+        figures["bands"] = {p: [factor * end for end in band] for p, band in row["bands"].items()}
     return row | {"unit": unit} | figures
 
 
-def peaks_frame(rows: Iterable[Row], system: System) -> pd.DataFrame:
+def peaks_frame(rows: Iterable[Row], system: UnitSystem) -> pd.DataFrame:
     """Peaks and bands, a line each."""
     import pandas as pd
 
@@ -399,14 +407,14 @@ def peaks_frame(rows: Iterable[Row], system: System) -> pd.DataFrame:
     lines = []
     for row in rows:
         peak = _in_system(row, system)
-        others = {name: peak.pop(key) for name, key in zip(names, REFERENCES, strict=True)}
+        references = {name: peak.pop(key) for name, key in zip(names, REFERENCES, strict=True)}
         for share, (low, high) in peak.pop("bands").items():
             peak |= {f"lower_{share}": low, f"upper_{share}": high}
-        lines.append(peak | others)
+        lines.append(peak | references)
     return pd.DataFrame(lines, columns=None if lines else ["quantity", "ground", "place", "unit"])
 
 
-def limits_frame(limits: Iterable[Row], system: System) -> pd.DataFrame:
+def limits_frame(limits: Iterable[Row], system: UnitSystem) -> pd.DataFrame:
     """Probabilities of passing limits."""
     import pandas as pd
 
@@ -426,11 +434,11 @@ def shares_frame(shares: Iterable[Row]) -> pd.DataFrame:
     return pd.DataFrame(lines, columns=["quantity", "ground", "source", "share"])
 
 
-def draws_frame(response: Response, system: System) -> pd.DataFrame:
+def draws_frame(response: Response, system: UnitSystem) -> pd.DataFrame:
     """The largest of each quantity over the building, for each draw and ground motion."""
     import pandas as pd
 
-    draw, ground = (at.ravel() for at in np.indices((response.draws, len(response.grounds))))
+    draw, ground = (index.ravel() for index in np.indices((response.draws, len(response.grounds))))
     names = np.array([motion.name for motion in response.grounds], dtype=object)
     columns = {
         "draw": draw,
@@ -446,32 +454,39 @@ def draws_frame(response: Response, system: System) -> pd.DataFrame:
     return pd.DataFrame({name: np.ravel(values) for name, values in columns.items()})
 
 
-def sweep_frame(sweep: Sweep, system: System) -> pd.DataFrame:
+def sweep_frame(sweep: Sweep, system: UnitSystem) -> pd.DataFrame:
     """Drift and acceleration against the actuation."""
     import pandas as pd
 
     unit, by_level = shown_unit(sweep.unit, system)
-    shown = {"drift": (system.length, system.factor("in")), "acceleration": ("g", 1.0)}
+    measures = {"drift": (system.length, system.factor("in")), "acceleration": ("g", 1.0)}
     goal, by_score = f"{sweep.quantity}_{sweep.goal}", 1.0
     if sweep.goal != "passing":  # a probability
-        of, by_score = shown[sweep.quantity]
+        of, by_score = measures[sweep.quantity]
         goal += f"_{of}"
     columns = {f"actuation_{unit}": by_level * sweep.levels, goal: by_score * sweep.scores}
-    for name, (of, by) in shown.items():
-        values = by * np.reshape(sweep.values[name], (len(sweep.levels), -1))
+    for name, (of, factor) in measures.items():
+        values = factor * np.reshape(sweep.values[name], (len(sweep.levels), -1))
         low, middle, high = np.quantile(values, [0.025, 0.5, 0.975], axis=1)
-        parts = {"median": middle, "mean": values.mean(axis=1), "lower_95": low, "upper_95": high}
-        columns |= {f"{name}_{part}_{of}": numbers for part, numbers in parts.items()}
+        statistics = {
+            "median": middle,
+            "mean": values.mean(axis=1),
+            "lower_95": low,
+            "upper_95": high,
+        }
+        columns |= {
+            f"{name}_{statistic}_{of}": numbers for statistic, numbers in statistics.items()
+        }
     return pd.DataFrame(columns)
 
 
-def response_json(rows: Iterable[Row], limits: Iterable[Row], about: Row, system: System) -> str:
+def response_json(rows: Iterable[Row], limits: Iterable[Row], head: Row, system: UnitSystem) -> str:
     """All rows and limits as JSON, in the units of the tables."""
-    peaks, passing = ([_in_system(row, system) for row in some] for some in (rows, limits))
-    return json_text({**about, "peaks": peaks, "limits": passing}, indent=2) + "\n"
+    peaks, passing = ([_in_system(row, system) for row in table] for table in (rows, limits))
+    return json_text({**head, "peaks": peaks, "limits": passing}, indent=2) + "\n"
 
 
-def peaks_tex(rows: Iterable[Row], system: System) -> str:
+def peaks_tex(rows: Iterable[Row], system: UnitSystem) -> str:
     """Peaks of the storeys as a LaTeX table in the manner of booktabs."""
     import pandas as pd
 
@@ -496,7 +511,7 @@ _GOALS = {
 }
 
 
-def sweep_sentence(sweep: Sweep, tested: Sequence[Span], system: System) -> str:
+def sweep_sentence(sweep: Sweep, tested: Sequence[Range], system: UnitSystem) -> str:
     """The best actuation with its interval, and what to do where it lies at an end.
 
     Where several levels are best alike, it says that none of them is better. `tested` is what the
@@ -506,19 +521,19 @@ def sweep_sentence(sweep: Sweep, tested: Sequence[Span], system: System) -> str:
     def words(*levels: float) -> str:
         return system.words(levels, sweep.unit, 3, actuation=True)
 
-    what = _GOALS[sweep.goal].format(sweep.quantity)
-    ties, place = sweep.lowest, f"smallest at {words(sweep.best)}"
-    first = last = sweep.best
+    goal = _GOALS[sweep.goal].format(sweep.quantity)
+    ties, optimum = sweep.lowest, f"smallest at {words(sweep.best)}"
+    lowest = highest = sweep.best
     if ties.size > 1:
-        first, last = float(ties[0]), float(ties[-1])
-        alike, none = f"{ties.size} levels", f"{words(first, last)}: none of them is better"
+        lowest, highest = float(ties[0]), float(ties[-1])
+        alike, remark = f"{ties.size} levels", f"{words(lowest, highest)}: none of them is better"
         if ties.size == np.isfinite(sweep.scores).sum():
-            return f"{what} is the same at all {alike}, {none}."
-        place = f"smallest at {alike} alike, {none}"
-    text = f"{what} is {place} (90 % interval: {words(*sweep.interval)})."
+            return f"{goal} is the same at all {alike}, {remark}."
+        optimum = f"smallest at {alike} alike, {remark}"
+    text = f"{goal} is {optimum} (90 % interval: {words(*sweep.interval)})."
     span = next(span for span in tested if span.name == "actuation")
     low, high = span.lowest * (1.0 - SAME_LEVEL), span.highest * (1.0 + SAME_LEVEL)
-    if not low <= first <= last <= high:
+    if not low <= lowest <= highest <= high:
         return (
             f"{text} No test was made there (tests: {span.words(system)}): make one before you "
             "use this actuation."

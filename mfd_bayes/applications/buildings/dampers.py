@@ -9,13 +9,13 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.applications.buildings.building import Array, Building, Device, Limits
+from mfd_bayes.applications.buildings.building import Array, Building, Device, ResponseLimits
 from mfd_bayes.friction.model import Columns, Model, State
-from mfd_bayes.population.design import Setting
+from mfd_bayes.population.design import TestConditions
 from mfd_bayes.population.population import (
     FINE,
     KNOTS,
-    Numbers,
+    Latents,
     Population,
     TravelBasis,
     slip_force_of,
@@ -112,32 +112,35 @@ class Leftover:
         """That of some dampers."""
         return Leftover(self.basis, self.knots[rows], self.memory[:, rows])
 
-    def replaced(self, rows: Rows, part: Leftover) -> Leftover:
+    def replaced(self, rows: Rows, replacement: Leftover) -> Leftover:
         """The same with that of some dampers replaced."""
         memory = self.memory.copy()
-        memory[:, rows] = part.memory
+        memory[:, rows] = replacement.memory
         return replace(self, memory=memory)
 
     def step(self, x: Array, velocity: Array, dt: float, scales: object = None) -> Leftover:
         """State at the next displacements, (q,), in."""
-        place, direction, turn, stroke, held, force = self.memory
-        back = (x - place) * direction < 0
-        direction = np.where(back, -direction, direction)
-        stroke = np.where(back, np.abs(place - turn), stroke)
-        turn, held = np.where(back, place, turn), np.where(back, force, held)
+        position, direction, turn, stroke, turn_force, force = self.memory
+        reversing = (x - position) * direction < 0
+        direction = np.where(reversing, -direction, direction)
+        stroke = np.where(reversing, np.abs(position - turn), stroke)
+        turn, turn_force = (
+            np.where(reversing, position, turn),
+            np.where(reversing, force, turn_force),
+        )
         travel, longest = np.abs(x - turn), self.basis.longest
         # linear between the knots, which are even in log(1 + FINE · travel/longest), as TravelBasis
-        at = np.log1p(FINE * travel / longest) / (np.log1p(FINE) / (KNOTS - 1))
-        left = np.minimum(at, KNOTS).astype(np.intp)
-        row, side, share = np.arange(x.size), (direction < 0).astype(np.intp), at - left
-        value = (1.0 - share) * self.knots[row, side, left] + share * self.knots[
-            row, side, left + 1
+        knot = np.log1p(FINE * travel / longest) / (np.log1p(FINE) / (KNOTS - 1))
+        cell = np.minimum(knot, KNOTS).astype(np.intp)
+        row, side, share = np.arange(x.size), (direction < 0).astype(np.intp), knot - cell
+        value = (1.0 - share) * self.knots[row, side, cell] + share * self.knots[
+            row, side, cell + 1
         ]
-        value = np.where(at < KNOTS, value, 0.0)
+        value = np.where(knot < KNOTS, value, 0.0)
         value *= np.clip(4.0 * stroke / self.basis.shortest - 2.0, 0.0, 1.0)
-        gone = np.minimum(travel / (SETTLE * longest), 1.0)
-        force = gone * value + (1.0 - gone) * held
-        return replace(self, memory=np.stack([x, direction, turn, stroke, held, force]))
+        progress = np.minimum(travel / (SETTLE * longest), 1.0)
+        force = progress * value + (1.0 - progress) * turn_force
+        return replace(self, memory=np.stack([x, direction, turn, stroke, turn_force, force]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,47 +241,47 @@ def draw_dampers(
     if not levels:
         return no_dampers(draws)
     times, histories = building.actuations
-    beyond = [level for level in levels if not population.within_levels(level)]
+    untested = [level for level in levels if not population.within_levels(level)]
     rng = np.random.default_rng([seed, 0])
-    index = population.draw_index(draws, (beyond or levels)[0], rng)
+    index = population.draw_index(draws, (untested or levels)[0], rng)
     varying = times is not None
     driven = np.concatenate([levels, *histories])
     grid = np.unique([*levels, *(population.grid(max(levels), driven) if varying else ())])
     rng = np.random.default_rng([seed, 1])
     shared = population.draw_numbers(draws, grid.size, rng)
     effects = population.level_effects(index, session, grid, shared.level)
-    values, about, scales = [], [], []
+    values, variables, scales = [], [], []
     for damper, (level, history) in enumerate(zip(levels, histories, strict=True)):
-        setting = Setting(level, session, dict(population.design.covariates))
+        setting = TestConditions(level, session, dict(population.design.covariates))
         numbers = _own(shared, np.random.default_rng([seed, 2, damper]))
         mean, scattered = population.parts(
             setting, index, numbers, effects, scatter=kind == "new_test"
         )
         x = mean + scatter * scattered
         unshared = population.unshared(model, x, numbers.start)
-        own = {**unshared, **population.values(x)}
+        parameters = {**unshared, **population.values(x)}
         typical = slip_force_of(model, {**unshared, **population.values(mean)})
         sources = {
             "law and level": typical,
-            "scatter of slip force": np.log(slip_force_of(model, own) / typical),
-            "gap": model.gap(own),
-            "start in the gap": own["start"],
+            "scatter of slip force": np.log(slip_force_of(model, parameters) / typical),
+            "gap": model.gap(parameters),
+            "start in the gap": parameters["start"],
         }
-        values.append(own)
-        about.append({name: source for name, source in sources.items() if source is not None})
+        values.append(parameters)
+        variables.append({name: source for name, source in sources.items() if source is not None})
         scales.append(population.scales(model, history, index, level, effects))
-    slip = np.stack([slip_force_of(model, one) for one in values], axis=1)
+    slip = np.stack([slip_force_of(model, entry) for entry in values], axis=1)
     residual = population.residual
     knots = residual.draw_knots(np.random.default_rng([seed, 4]), draws)
     return Dampers(
         model,
-        np.stack([model.theta(one) for one in values], axis=1),
-        np.stack([one["start"] for one in values], axis=1),
+        np.stack([model.theta(entry) for entry in values], axis=1),
+        np.stack([entry["start"] for entry in values], axis=1),
         slip,
         Leftover.at_rest(residual.basis, knots, slip / residual.slip_force),
-        {k: np.stack([one[k] for one in scales], axis=1) for k in scales[0]} if varying else {},
+        {k: np.stack([entry[k] for entry in scales], axis=1) for k in scales[0]} if varying else {},
         times,
-        {name: np.stack([one[name] for one in about], axis=1) for name in about[0]},
+        {name: np.stack([entry[name] for entry in variables], axis=1) for name in variables[0]},
     )
 
 
@@ -290,14 +293,14 @@ def draw_device(
     building = Building(
         *("one device", matrix, matrix, matrix, vector, matrix, vector, vector, vector),
         (Device("device", 1, 0, level, unit),),
-        Limits(),
+        ResponseLimits(),
     )
     dampers = draw_dampers(population, model, building, draws=draws, seed=seed)
     return dampers.theta[:, 0], dampers.start[:, 0]
 
 
 def bound_dampers(
-    population: Population, model: Model, building: Building, drawn: Dampers, seed: int
+    population: Population, model: Model, building: Building, dampers: Dampers, seed: int
 ) -> dict[str, Dampers]:
     """One building with all dampers at the "lower", and one at the "upper", design value.
 
@@ -307,13 +310,15 @@ def bound_dampers(
     rest it lacks in one direction. The quantiles leave out half of 1 − `BOUND` each. All else is
     the mean property (the median of each quantity). Of a model that names no slip forces, the
     parameters that follow the actuation are taken for them. Histories of actuation are those of
-    `drawn`, in their median.
+    `dampers`, in their median.
     """
     levels, of = np.unique([device.level for device in building.devices], return_inverse=True)
-    plain = replace(building.devices[0], history=None)
-    each = replace(building, devices=tuple(replace(plain, actuation=a) for a in levels.tolist()))
+    template = replace(building.devices[0], history=None)
+    variant = replace(
+        building, devices=tuple(replace(template, actuation=a) for a in levels.tolist())
+    )
     mean, scattered = (
-        draw_dampers(population, model, each, kind, BOUND_DRAWS, seed)
+        draw_dampers(population, model, variant, kind, BOUND_DRAWS, seed)
         for kind in ("mean", "new_test")
     )
     names, standard, residual = model.parameters, model.standard_names, population.residual
@@ -322,37 +327,37 @@ def bound_dampers(
     widths = [names.index(name) for name in sorted(standard & GAP)]
     tail = 0.5 * (1.0 - BOUND)
     places = np.quantile(scattered.start, np.linspace(tail, 1.0 - tail, PLACES), axis=0)
-    found = {}
+    bounds = {}
     for side, share in (("lower", tail), ("upper", 1.0 - tail)):
         theta = np.median(mean.theta, axis=0)
         bound = np.quantile(scattered.theta, share, axis=0)
         for name in dict.fromkeys([*(model.slip_forces or model.laws), *stiff]):
             column = names.index(name)
-            tied = [names.index(n) for n, followed in model.tied_laws.items() if followed == name]
+            tied = [names.index(n) for n, followed in model.shared_laws.items() if followed == name]
             theta[:, tied] *= (bound / np.where(theta, theta, 1.0))[:, [column]]
             theta[:, column] = bound[:, column]
         if widths:
             width = np.quantile(scattered.theta[..., widths].sum(axis=-1), 1.0 - share, axis=0)
             theta[:, widths] *= (width / theta[:, widths].sum(axis=1))[:, None]
-        begun = np.broadcast_to(theta, (PLACES, *theta.shape))
-        held = np.abs(Dampers(model, begun, places, np.ones(places.shape)).at_rest)
-        pick = held.argmin(axis=0) if side == "upper" else held.argmax(axis=0)
+        thetas = np.broadcast_to(theta, (PLACES, *theta.shape))
+        rest_force = np.abs(Dampers(model, thetas, places, np.ones(places.shape)).at_rest)
+        pick = rest_force.argmin(axis=0) if side == "upper" else rest_force.argmax(axis=0)
         start = np.take_along_axis(places, pick[None], axis=0)
         slip = theta[:, slips].mean(axis=1)[None] if slips else np.ones((1, len(theta)))
         slip = slip[:, of]
-        found[side] = Dampers(
+        bounds[side] = Dampers(
             model,
             theta[None, of],
             start[:, of],
             slip,
             Leftover.at_rest(residual.basis, residual.mean[None], slip / residual.slip_force),
-            {k: np.median(s, axis=0, keepdims=True) for k, s in drawn.scales.items()},
-            drawn.times,
+            {k: np.median(s, axis=0, keepdims=True) for k, s in dampers.scales.items()},
+            dampers.times,
         )
-    return found
+    return bounds
 
 
-def _own(shared: Numbers, rng: np.random.Generator) -> Numbers:
+def _own(shared: Latents, rng: np.random.Generator) -> Latents:
     """Numbers of one damper: its own scatter, its own place in the gap; a device of its own."""
     if shared.device is not None:
         shared = shared._replace(device=rng.standard_normal(shared.device.shape))

@@ -62,11 +62,11 @@ def acceleration_factor(unit: str) -> float:
         text = bracketed[1].strip()
     text = text.removesuffix(".")
     if twice := re.fullmatch(r"([^()\[\]]+?)\s*[(\[]([^()\[\]]+)[)\]]", text):
-        one, other = map(_factor, twice.groups())  # "gal (cm/s/s)"
-        if one and other and math.isclose(one, other, rel_tol=1e-6):
-            return one
-    if known := _UNITS.get(text.replace(" ", "")):
-        return known
+        a, b = map(_factor, twice.groups())  # "gal (cm/s/s)"
+        if a and b and math.isclose(a, b, rel_tol=1e-6):
+            return a
+    if value := _UNITS.get(text.replace(" ", "")):
+        return value
     if tenths := re.fullmatch(r"(g|gals?)\s*/\s*(\d+)", text):  # "G/10"
         return _UNITS[tenths[1]] / float(tenths[2])
     text = re.sub(r"\s*\bper\b\s*", "/", text)
@@ -101,8 +101,8 @@ def _seconds(value: float, unit: str) -> float | None:
     """Step, s, of a value in a unit of time, or in one of a rate; None for any other unit."""
     unit = unit.strip().lower()
     try:
-        by = factor(_RATES.get(unit, unit), "rate" if unit in _RATES else "time")
-        step = 1.0 / (value * by) if unit in _RATES else value * by
+        scale = factor(_RATES.get(unit, unit), "rate" if unit in _RATES else "time")
+        step = 1.0 / (value * scale) if unit in _RATES else value * scale
     except (UnitError, ZeroDivisionError):
         return None
     return step if 0.0 < step < math.inf else None
@@ -121,10 +121,10 @@ class Ground:
     acceleration: Array
 
     def __post_init__(self) -> None:
-        name, given = self.name, self.acceleration
+        name, acceleration = self.name, self.acceleration
         if not isinstance(name, str):
             raise BuildingError(f"name of a ground motion must be text, got {name!r}")
-        values = np.array(real_numbers(f"{name}: acceleration", given, BuildingError))
+        values = np.array(real_numbers(f"{name}: acceleration", acceleration, BuildingError))
         if values.ndim != 1 or not 2 <= values.size <= MOST:
             raise BuildingError(f"{name}: expected 2 to {MOST} values, got {values.size}")
         if not np.all(np.isfinite(values)):
@@ -149,24 +149,24 @@ class Ground:
     @property
     def words(self) -> str:
         """Name, peak in g and duration, in words."""
-        peak, last = self.peak / GRAVITY, float(self.time[-1])
-        return f"{self.name}: peak {peak:.3g} g, {last:.4g} s in steps of {self.step:.4g} s"
+        peak, duration = self.peak / GRAVITY, float(self.time[-1])
+        return f"{self.name}: peak {peak:.3g} g, {duration:.4g} s in steps of {self.step:.4g} s"
 
-    def scaled(self, by: float) -> Ground:
+    def scaled(self, scale: float) -> Ground:
         """The motion times a factor, which its name says; no number, or zero, is refused."""
-        by = real_number("factor", by, BuildingError)
-        name = f"{self.name} × {by:.3g}"
-        return replace(self, name=name, acceleration=by * self.acceleration)
+        scale = real_number("factor", scale, BuildingError)
+        name = f"{self.name} × {scale:.3g}"
+        return replace(self, name=name, acceleration=scale * self.acceleration)
 
     def with_peak(self, peak: float) -> Ground:
         """The motion scaled to a peak above zero, in/s²."""
-        peak = real_number("peak", peak, BuildingError, (0.0, np.inf), inside=True)
+        peak = real_number("peak", peak, BuildingError, (0.0, np.inf), exclusive=True)
         return self.scaled(peak / self.peak)
 
 
 def _checked_step(name: str, step: object) -> float:
-    what = f"{name}: the step of a ground motion"
-    return real_number(what, step, BuildingError, (0.0, np.inf), inside=True)
+    label = f"{name}: the step of a ground motion"
+    return real_number(label, step, BuildingError, (0.0, np.inf), exclusive=True)
 
 
 def parse_ground(text: str, *, of: str = "--ground") -> tuple[Path, float | None, str]:
@@ -176,11 +176,11 @@ def parse_ground(text: str, *, of: str = "--ground") -> tuple[Path, float | None
     """
     name, step, unit = text, None, ""
     while ":" in name and not os.path.lexists(name):
-        rest, tail = name.rsplit(":", 1)
+        head, tail = name.rsplit(":", 1)
         match = re.fullmatch(rf"\s*({_NUMBER})\s*([A-Za-zµ]+)\s*", tail)
-        own = _seconds(_float(match[1]), match[2]) if match else None
-        if step is None and own is not None:
-            step = own
+        seconds = _seconds(_float(match[1]), match[2]) if match else None
+        if step is None and seconds is not None:
+            step = seconds
         elif not unit and _factor(tail):
             unit = tail.strip()
         elif re.search(r"[/\\]", tail):  # "run 10:30/quake.txt", "C:\gm\quake.txt"
@@ -189,7 +189,7 @@ def parse_ground(text: str, *, of: str = "--ground") -> tuple[Path, float | None
             raise BuildingError(
                 f"{of} {text!r}: expected FILE, FILE:0.01s or FILE:0.01s:g, got {tail!r}"
             )
-        name = rest
+        name = head
     return Path(name), step, unit
 
 
@@ -220,16 +220,16 @@ def read_ground(
         if path.stat().st_size > LARGEST:
             raise BuildingError(f"{path} is larger than {LARGEST >> 20} MB")
         read = _read_csv if path.suffix.lower() == ".csv" else _read_text
-        values, own, stated = read(path, step, unit)
+        values, file_step, stated = read(path, step, unit)
     except OSError as error:
         raise BuildingError(f"cannot read {path}: {error.strerror or error}") from error
     except UnitError as error:
         raise BuildingError(f"{path}: {error}") from error
     # bytes that are not UTF-8 become escapes
-    ground = Ground(path.name.encode(errors="backslashreplace").decode(), own, values)
-    if step is None and own > LONGEST_STEP:
+    ground = Ground(path.name.encode(errors="backslashreplace").decode(), file_step, values)
+    if step is None and file_step > LONGEST_STEP:
         raise BuildingError(
-            f"{path}: the file's step is {own:.6g} s, and steps are at most {LONGEST_STEP} "
+            f"{path}: the file's step is {file_step:.6g} s, and steps are at most {LONGEST_STEP} "
             "s: give it as FILE:0.01s, or step=0.01 in Python"
         )
     ground = ground if scale == 1.0 else ground.scaled(scale)
@@ -244,31 +244,38 @@ def read_ground(
     return ground
 
 
-def _agreed_step(path: Path, own: float | None, given: float | None) -> float | None:
+def _agreed_step(path: Path, dt: float | None, option: float | None) -> float | None:
     """Step of a file, s, or the one that is given where the file does not say it."""
-    if own is None or given is None or math.isclose(own, given, rel_tol=SAME_STEP):
-        return given if own is None else own
+    if dt is None or option is None or math.isclose(dt, option, rel_tol=SAME_STEP):
+        return option if dt is None else dt
     raise BuildingError(
-        f"{path}: the file's step is {own:.6g} s, and {given:.6g} s was given: leave the step out, "
+        f"{path}: the file's step is {dt:.6g} s, and {option:.6g} s was given: leave the step out, "
         "or correct the file"
     )
 
 
-def _agreed_factor(where: str, own: str, given: str) -> float:
-    """Factor of the unit that a file says to in/s²; `where` is the place at which it is said."""
-    other, by = acceleration_factor(given) if given else None, _factor(own)
-    of_others = re.search(r"\d|count", own, re.IGNORECASE) or measure(own.lower())
-    if by is None and (other is None or of_others):
+def _agreed_factor(label: str, file_unit: str, user_unit: str) -> float:
+    """Factor of the unit that a file says to in/s²; `label` is the place at which it is said."""
+    user_factor, file_factor = (
+        acceleration_factor(user_unit) if user_unit else None,
+        _factor(file_unit),
+    )
+    of_others = re.search(r"\d|count", file_unit, re.IGNORECASE) or measure(file_unit.lower())
+    if file_factor is None and (user_factor is None or of_others):
         advice = "correct the file" if of_others else "give the unit as FILE:cm/s^2"
         raise BuildingError(
-            f"{where}, which is no acceleration such as 'g' or 'cm/s^2': {advice}"
+            f"{label}, which is no acceleration such as 'g' or 'cm/s^2': {advice}"
             + ("" if of_others else ", or unit='cm/s^2' in Python")
         )
-    if by is not None and other is not None and not math.isclose(by, other, rel_tol=1e-6):
+    if (
+        file_factor is not None
+        and user_factor is not None
+        and not math.isclose(file_factor, user_factor, rel_tol=1e-6)
+    ):
         raise BuildingError(
-            f"{where}, and {given!r} was given: leave the unit out, or correct the file"
+            f"{label}, and {user_unit!r} was given: leave the unit out, or correct the file"
         )
-    return by or other or 0.0
+    return file_factor or user_factor or 0.0
 
 
 # --- tables
@@ -289,8 +296,8 @@ def _read_csv(path: Path, step: float | None, unit: str) -> tuple[Array, float, 
     except MfdError as error:
         raise BuildingError(str(error)) from error
     _refuse_one_sign(path, columns[moves[0]])
-    own = _column_unit(table, moves[0]) or unit
-    if not own:
+    column_unit = _column_unit(table, moves[0]) or unit
+    if not column_unit:
         raise BuildingError(f"{path}: the column {moves[0]!r} has no unit, such as acceleration_g")
     for name in times:
         step = _even_step(
@@ -298,8 +305,10 @@ def _read_csv(path: Path, step: float | None, unit: str) -> tuple[Array, float, 
         )
     if step is None:
         raise BuildingError(f"{path} needs a column of the time, such as 'time_s', or a step")
-    by = _agreed_factor(f"{path}: the unit of the column {moves[0]!r} is {own!r}", own, unit)
-    return by * columns[moves[0]], step, True
+    scale = _agreed_factor(
+        f"{path}: the unit of the column {moves[0]!r} is {column_unit!r}", column_unit, unit
+    )
+    return scale * columns[moves[0]], step, True
 
 
 def _columns(
@@ -312,17 +321,17 @@ def _columns(
 
 def _column_unit(table: Table, name: str) -> str:
     """Unit of a column, by the row of units or by its name; "" where neither has one."""
-    row, own = table.units.get(name, ""), header_unit(name) or stated_unit(name) or ""
-    a, b = (_factor(unit) or _seconds(1.0, unit) for unit in (row, own))
+    row, header = table.units.get(name, ""), header_unit(name) or stated_unit(name) or ""
+    a, b = (_factor(unit) or _seconds(1.0, unit) for unit in (row, header))
     if a and b and not math.isclose(a, b, rel_tol=1e-5):
         raise BuildingError(
-            f"{table.path}: the column {name!r} is in {own!r} by its name and in {row!r} by the "
+            f"{table.path}: the column {name!r} is in {header!r} by its name and in {row!r} by the "
             "row of units: correct the file"
         )
-    return row or own
+    return row or header
 
 
-def _even_step(path: Path, written: Array, unit: float, given: float | None) -> float:
+def _even_step(path: Path, written: Array, unit: float, user_step: float | None) -> float:
     """Step, s, of even times that are `written` in a unit, s; the given one if any.
 
     Times that are written more coarsely than the step are read only where it is given.
@@ -330,19 +339,19 @@ def _even_step(path: Path, written: Array, unit: float, given: float | None) -> 
     digits = next((n for n in range(15) if np.allclose(written, written.round(n), 1e-12, 0)), 15)
     time, number, digit = unit * written, np.arange(written.size), unit * 10.0**-digits
     if (
-        given is not None
-        and digit > 1.01 * given
-        and np.ptp(time - given * number) <= digit * 1.001
+        user_step is not None
+        and digit > 1.01 * user_step
+        and np.ptp(time - user_step * number) <= digit * 1.001
     ):
-        return given
+        return user_step
     step = float(time[-1] - time[0]) / max(time.size - 1, 1)
-    off = np.max(np.abs(time - (time[0] + step * number)))
+    error = np.max(np.abs(time - (time[0] + step * number)))
     rounding = digit if digit <= 0.5 * step else 0.0
-    even = off <= max(UNEVEN * step, rounding) and np.all(np.diff(time) > 0.0)
-    if not (step > 0.0 and even):
+    is_even = error <= max(UNEVEN * step, rounding) and np.all(np.diff(time) > 0.0)
+    if not (step > 0.0 and is_even):
         raise BuildingError(f"{path}: the time of a ground motion must grow by one even step")
-    _agreed_step(path, step, given)
-    return given or step
+    _agreed_step(path, step, user_step)
+    return user_step or step
 
 
 # --- numbers in rows below a header
@@ -469,42 +478,44 @@ def _read_rows(
     if points is None:
         _refuse_blocks(path, rows)
     _refuse_one_sign(path, values)
-    scale, own, said = _scale(path, header)
-    for other, place in _units(header):
-        a, b = _factor(own), _factor(other)
-        if own and a != b and not (a and b and math.isclose(a, b, rel_tol=1e-6)):
-            raise BuildingError(f"{path}: the header says {said!r} and {place!r}: correct the file")
-        own, said = (own, said) if own else (other, place)
+    scale, file_unit, phrase = _scale(path, header)
+    for other_unit, quote in _units(header):
+        a, b = _factor(file_unit), _factor(other_unit)
+        if file_unit and a != b and not (a and b and math.isclose(a, b, rel_tol=1e-6)):
+            raise BuildingError(
+                f"{path}: the header says {phrase!r} and {quote!r}: correct the file"
+            )
+        file_unit, phrase = (file_unit, phrase) if file_unit else (other_unit, quote)
     text = "\n".join([path.suffix, *header])
-    if not own and not unit and (what := _SENSITIVITY.search(text)):
+    if not file_unit and not unit and (match := _SENSITIVITY.search(text)):
         raise BuildingError(
-            f"{path}: the header says {what[0]!r}, and not that the numbers are accelerations: "
+            f"{path}: the header says {match[0]!r}, and not that the numbers are accelerations: "
             "give the unit as FILE:cm/s^2 (unit='cm/s^2' in Python) if they are"
         )
     of_others = _COUNTS.search(text) or ("acc" not in text.lower() and _OTHER.search(text))
-    if not own and of_others:
+    if not file_unit and of_others:
         raise BuildingError(
             f"{path}: the header says {of_others[0].strip(' ,:=(')!r}, and not that the numbers "
             "are accelerations: correct the file if they are, with 'UNITS OF G' in its header"
         )
-    known = [(place, seconds) for place, seconds in steps if seconds is not None]
-    if known and max(s for _, s in known) > (1.0 + SAME_STEP) * min(s for _, s in known):
-        several = " and ".join(repr(place) for place, _ in known)
+    readable = [(quote, seconds) for quote, seconds in steps if seconds is not None]
+    if readable and max(s for _, s in readable) > (1.0 + SAME_STEP) * min(s for _, s in readable):
+        several = " and ".join(repr(quote) for quote, _ in readable)
         raise BuildingError(f"{path}: {several} are different steps: correct the file")
-    step = _agreed_step(path, known[0][1] if known else None, step)
+    step = _agreed_step(path, readable[0][1] if readable else None, step)
     if step is None:
-        unread = next((place for place, seconds in steps if seconds is None), "")
-        why = f" (it has {unread!r}, which cannot be read)" if unread else ""
+        unread = next((quote for quote, seconds in steps if seconds is None), "")
+        reason = f" (it has {unread!r}, which cannot be read)" if unread else ""
         raise BuildingError(
-            f"{path} does not say its step (NPTS= …, DT= … SEC){why}: give it as FILE:0.01s, or "
+            f"{path} does not say its step (NPTS= …, DT= … SEC){reason}: give it as FILE:0.01s, or "
             "step=0.01 in Python"
         )
-    by = acceleration_factor(unit or "g")
-    if said:
-        by = _agreed_factor(f"{path}: the header says {said!r}", own, unit)
-    acceleration = scale * by * values
+    unit_factor = acceleration_factor(unit or "g")
+    if phrase:
+        unit_factor = _agreed_factor(f"{path}: the header says {phrase!r}", file_unit, unit)
+    acceleration = scale * unit_factor * values
     _check_peak(path, header, acceleration)
-    return acceleration, step, bool(said or unit)
+    return acceleration, step, bool(phrase or unit)
 
 
 def _refuse_one_sign(path: Path, values: Array) -> None:
@@ -526,8 +537,8 @@ def _refuse_columns(path: Path, values: Array, width: int, points: int | None) -
     fewest = 3 if width <= 3 else 6  # rows that show it
     if width == 1 or len(table) < fewest:
         return
-    steps, even = np.diff(table[:, 0]), np.linspace(table[0, 0], table[-1, 0], len(table))
-    is_even = np.all(np.abs(table[:, 0] - even) <= UNEVEN * np.abs(np.mean(steps)))
+    steps, grid = np.diff(table[:, 0]), np.linspace(table[0, 0], table[-1, 0], len(table))
+    is_even = np.all(np.abs(table[:, 0] - grid) <= UNEVEN * np.abs(np.mean(steps)))
     if (np.all(steps > 0.0) or np.all(steps < 0.0)) and (is_even or len(table) >= 10):
         is_motion = is_even and steps[0] > 0.0 and np.any(table[:, 1:] < 0.0)
         kind = "time and acceleration" if is_motion else "a spectrum"
@@ -548,9 +559,11 @@ def _refuse_blocks(path: Path, rows: Sequence[Sequence[str]]) -> None:
     width = len(rows[0])
     uneven = [row for row in rows[:-1] if len(row) != width]
     uneven += [rows[-1]] if len(rows[-1]) > width else []
-    whole = [all(re.fullmatch(r"[+-]?\d+", word) for word in row) for row in rows]
-    if width >= 3 and not all(whole):
-        uneven += [row for row, w in zip(rows, whole, strict=True) if w and any(map(_float, row))]
+    integral = [all(re.fullmatch(r"[+-]?\d+", word) for word in row) for row in rows]
+    if width >= 3 and not all(integral):
+        uneven += [
+            row for row, w in zip(rows, integral, strict=True) if w and any(map(_float, row))
+        ]
     if uneven:
         raise BuildingError(
             f"{path}: the row {' '.join(uneven[0])[:60]!r} is of another layout than other rows: "
@@ -564,16 +577,16 @@ def _check_peak(path: Path, header: Sequence[str], acceleration: Array) -> None:
     peaks = []
     for line in header:
         for match in _PEAK.finditer(line):
-            by = _factor(match[1] or match[3] or "")
-            if by and not re.search(r"uncor|raw", line, re.IGNORECASE):
-                peaks.append((abs(_float(match[2])) * by, match[0].strip()))
+            scale = _factor(match[1] or match[3] or "")
+            if scale and not re.search(r"uncor|raw", line, re.IGNORECASE):
+                peaks.append((abs(_float(match[2])) * scale, match[0].strip()))
     if not peaks or max(peaks)[0] > SAME_PEAK * min(peaks)[0]:
         return
-    stated, place = peaks[0]
+    stated, quote = peaks[0]
     peak = float(np.max(np.abs(acceleration)))
     if not stated / SAME_PEAK <= peak <= SAME_PEAK * stated:
         raise BuildingError(
-            f"{path}: the header says {place!r}, {stated / GRAVITY:.3g} g, and the peak of the "
+            f"{path}: the header says {quote!r}, {stated / GRAVITY:.3g} g, and the peak of the "
             f"values would be {peak / GRAVITY:.3g} g: correct the unit, take an offset off the "
             "values, or correct the file"
         )
@@ -582,20 +595,20 @@ def _check_peak(path: Path, header: Sequence[str], acceleration: Array) -> None:
 def _head(lines: Sequence[str]) -> int:
     """Number of lines of the header: the values begin below what says the step."""
     are_numbers = (bool(w := _words(line)) and _numbers(w) == len(w) for line in lines)
-    first = next((i for i, numbers in enumerate(are_numbers) if numbers), len(lines))
+    begin = next((i for i, numbers in enumerate(are_numbers) if numbers), len(lines))
     says = [i for i, line in enumerate(lines[:HEAD]) if any(_steps([line]))]
-    said = max((i for i in says if i < first), default=says[0] if says else -1)
-    if said >= 0:
-        below = (i for i in range(said + 1, len(lines)) if _begins_as_data(lines[i]))
-        first = next(below, said + 1)
-    width = len(_words(lines[first])) if first < len(lines) else 0
-    while first - 1 > said:  # a first row of values, one of which is no number
-        words = _words(lines[first - 1])
-        alike = _begins_as_data(lines[first - 1]) or 2 * _numbers(words) > width
+    step_line = max((i for i in says if i < begin), default=says[0] if says else -1)
+    if step_line >= 0:
+        data_lines = (i for i in range(step_line + 1, len(lines)) if _begins_as_data(lines[i]))
+        begin = next(data_lines, step_line + 1)
+    width = len(_words(lines[begin])) if begin < len(lines) else 0
+    while begin - 1 > step_line:  # a first row of values, one of which is no number
+        words = _words(lines[begin - 1])
+        alike = _begins_as_data(lines[begin - 1]) or 2 * _numbers(words) > width
         if not ((len(words) == width and alike) or any(map(_GLUED.fullmatch, words))):
             break
-        first -= 1
-    return first
+        begin -= 1
+    return begin
 
 
 def _steps(header: Sequence[str]) -> Iterator[tuple[str, float | None]]:
@@ -611,11 +624,11 @@ def _steps(header: Sequence[str]) -> Iterator[tuple[str, float | None]]:
         ends = [*(match.start() for match in matches[1:]), len(line)]
         for match, end in zip(matches, ends, strict=False):
             text, unit, step = line[match.end() : end], match[1] or match[2] or "", None
-            if after := _AFTER_STEP.match(text):
-                word = after[2] or ""
+            if value := _AFTER_STEP.match(text):
+                word = value[2] or ""
                 if not (word and unit and _seconds(1.0, word) != _seconds(1.0, unit)):
-                    usual = "Hz" if _OF_RATE.search(match[0]) else "s"
-                    step = _seconds(_float(after[1]), word or unit or usual)
+                    default = "Hz" if _OF_RATE.search(match[0]) else "s"
+                    step = _seconds(_float(value[1]), word or unit or default)
             if step is not None or match[3] in (":", "="):
                 yield f"{match[0]}{text}".strip()[:60], step
 
@@ -648,11 +661,11 @@ def _number_line(path: Path, rows: Sequence[Sequence[str]]) -> tuple[int, float 
                 continue
             if float(points) == total - len(lead):
                 return height, _float(step)
-            rest = [word for row in rows[height:] for word in row]
+            values = [word for row in rows[height:] for word in row]
             if (
                 points.isdigit()
                 and int(points) >= 10
-                and 2 * sum(map(str.isdigit, rest)) < len(rest)
+                and 2 * sum(map(str.isdigit, values)) < len(values)
             ):
                 raise BuildingError(
                     f"{path}: {' '.join(lead[:6])!r} looks like a number of values and a step, and "
@@ -666,33 +679,35 @@ def _units(header: Sequence[str]) -> list[tuple[str, str]]:
 
     Where it says none after the word UNITS, those of accelerations that stand in it.
     """
-    stated, others = [], []
+    stated, fallback = [], []
     for line in header:
         match = _UNIT.search(line)
         if match and not _OF_OTHERS.match(match[1]):
             text = _OF_ACCELERATION.sub("", match[1], count=1)
             inner = re.match(r"[(\[{<]([^)\]}>]*)[)\]}>](?!\s*[*x/])", text)
-            parts = [inner[1]] if inner else [part.strip() for part in _PHRASE.split(text)]
-            unit = next((part for part in parts if not _seconds(1.0, part)), "")  # "sec, cm/s/s"
+            phrases = [inner[1]] if inner else [phrase.strip() for phrase in _PHRASE.split(text)]
+            unit = next(
+                (phrase for phrase in phrases if not _seconds(1.0, phrase)), ""
+            )  # "sec, cm/s/s"
             end = line.index(unit, match.start()) + len(unit) + bool(inner) if unit else len(line)
             stated.append((re.sub(r"\(\d+\)$", "", unit), line[match.start() : end].strip()))
         elif not _NOT_OF_VALUES.search(line):
             words = [word[0].removesuffix(".") for word in _SLASHED.finditer(line)]
             words += [unit for of in _OF_ACC.finditer(line) for unit in of.groups() if unit]
-            others += [(unit, line.strip()[:60]) for unit in words if _factor(unit)]
-    return stated or others
+            fallback += [(unit, line.strip()[:60]) for unit in words if _factor(unit)]
+    return stated or fallback
 
 
 def _scale(path: Path, header: Sequence[str]) -> tuple[float, str, str]:
     """Factor of the values, with its unit and words: "Scale Factor 3920(gal)/6182761" of K-NET."""
     for match in filter(None, map(_SCALE.search, header)):
-        said, text = match[0].strip(), match[1].strip()
-        parts = re.fullmatch(rf"({_NUMBER})\s*\(([^)]+)\)\s*/\s*({_NUMBER})", text)
-        if parts and _factor(parts[2]) and _float(parts[3]) != 0.0:
-            return _float(parts[1]) / _float(parts[3]), parts[2], said
+        quote, text = match[0].strip(), match[1].strip()
+        fraction = re.fullmatch(rf"({_NUMBER})\s*\(([^)]+)\)\s*/\s*({_NUMBER})", text)
+        if fraction and _factor(fraction[2]) and _float(fraction[3]) != 0.0:
+            return _float(fraction[1]) / _float(fraction[3]), fraction[2], quote
         if not (re.fullmatch(_NUMBER, text) and _float(text) == 1.0):
             raise BuildingError(
-                f"{path}: the header says {said!r}, which cannot be read: expected such as 'Scale "
+                f"{path}: the header says {quote!r}, which cannot be read: expected such as 'Scale "
                 "Factor 3920(gal)/6182761'; multiply the values by it, and remove this line"
             )
     return 1.0, "", ""

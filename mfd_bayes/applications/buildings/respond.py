@@ -26,8 +26,8 @@ from mfd_bayes.jobs.job import Step
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.tested_range import (
     MARGIN,
-    Span,
-    departures,
+    Range,
+    extrapolations,
 )
 from mfd_bayes.units import actuation_kind
 
@@ -39,23 +39,23 @@ def grounds_of(
 ) -> list[Ground]:
     """Ground motions of what is given; `unit`, `scale` and `meant` are as in `read_ground`."""
     motions = []
-    for given in [grounds] if isinstance(grounds, Ground | str | PathLike) else grounds:
-        if isinstance(given, Ground):
-            motions.append(given)
+    for item in [grounds] if isinstance(grounds, Ground | str | PathLike) else grounds:
+        if isinstance(item, Ground):
+            motions.append(item)
             continue
-        path_of("a ground motion", given, BuildingError)
-        path, step, own = parse_ground(fspath(given), of="ground")
-        ground = read_ground(path, step=step, unit=own or unit, scale=scale, meant=meant)
+        path_of("a ground motion", item, BuildingError)
+        path, step, suffix_unit = parse_ground(fspath(item), of="ground")
+        ground = read_ground(path, step=step, unit=suffix_unit or unit, scale=scale, meant=meant)
         motions.append(ground)
     if not motions:
         raise BuildingError("give at least one ground motion")
     return motions
 
 
-def check_kind(where: str, unit: str, expected: str) -> None:
+def check_kind(label: str, unit: str, expected: str) -> None:
     """Refuse an actuation whose internal unit is of another kind than the tests had."""
     if unit != expected:
-        raise BuildingError(f"{where} must be {actuation_kind(expected)}, as in the campaign")
+        raise BuildingError(f"{label} must be {actuation_kind(expected)}, as in the campaign")
 
 
 def _short_histories(building: Building, grounds: Sequence[Ground]) -> list[str]:
@@ -66,11 +66,11 @@ def _short_histories(building: Building, grounds: Sequence[Ground]) -> list[str]
             continue
         begin, end = device.history[0][[0, -1]].tolist()
         for ground in grounds:
-            last = float(ground.time[-1])
-            if begin > MARGIN * last or end < (1 - MARGIN) * last:
+            t_end = float(ground.time[-1])
+            if begin > MARGIN * t_end or end < (1 - MARGIN) * t_end:
                 sentences.append(
                     f"the actuation of the damper at {device.name} is known from {begin:.4g} s to "
-                    f"{end:.4g} s, and the ground motion {ground.name} goes on to {last:.4g} s: "
+                    f"{end:.4g} s, and the ground motion {ground.name} goes on to {t_end:.4g} s: "
                     "the first and the last actuation are taken to stay"
                 )
     return sentences
@@ -83,23 +83,26 @@ def beyond_tests(run: Run, response: Response) -> list[list[str]]:
     """
 
     def sentences(name: str, unit: str, low: float, high: float, of: str = "") -> list[str]:
-        outside = departures(run.tested, [Span(name, unit, low, high)])
-        return [f"{of}beyond the tests: {each.sentence(run.system)}" for each in outside]
+        exceedances = extrapolations(run.tested, [Range(name, unit, low, high)])
+        return [
+            f"{of}beyond the tests: {extrapolation.sentence(run.system)}"
+            for extrapolation in exceedances
+        ]
 
     if not response.dampers.count:
         return [[]]
-    beyond = []
+    messages = []
     for g, ground in enumerate(response.grounds):
         travel = response.travel[response.usable(g), g]
         stroke = 2.0 * float(np.median(travel.max(axis=1))) if len(travel) else np.nan
-        beyond.append(sentences("stroke", "in", stroke, stroke, f"{ground.name}: "))
+        messages.append(sentences("stroke", "in", stroke, stroke, f"{ground.name}: "))
     levels = np.concatenate(
         [
             [device.actuation] if device.history is None else device.history[1]
             for device in response.building.devices
         ]
     )
-    return [*beyond, sentences("actuation", run.actuation_unit, levels.min(), levels.max())]
+    return [*messages, sentences("actuation", run.actuation_unit, levels.min(), levels.max())]
 
 
 def respond(
@@ -148,23 +151,23 @@ def respond(
     whole_number("draws", draws, FEWEST_DRAWS, BuildingError, MOST_DRAWS)
     whole_number("seed", seed, 0, BuildingError)
     whole_number("jobs", jobs, 0, BuildingError)
-    tolerance = real_number("tolerance", tolerance, BuildingError, (0.0, 1.0), inside=True)
+    tolerance = real_number("tolerance", tolerance, BuildingError, (0.0, 1.0), exclusive=True)
     built = building if isinstance(building, Building) else read_building(building)
     motions = grounds_of(grounds)
     for device in built.devices:
-        where = f"the actuation of the damper at {device.name}"
-        check_kind(where, device.unit, run.actuation_unit)
+        label = f"the actuation of the damper at {device.name}"
+        check_kind(label, device.unit, run.actuation_unit)
     model, bounds = run.predictor.model, {}
     dampers = draw_dampers(run.population, model, built, kind, draws, seed)
     if dampers.count and (model.slip_forces or model.laws):
         bounds = bound_dampers(run.population, model, built, dampers, seed)
     if not model.slip_forces:  # by which forces are judged to be in equilibrium
         typical = np.median([run.manifest.tests[name].peak_force for name in run.tests])
-        dampers, *few = (
-            replace(one, slip=np.full_like(one.slip, typical))
-            for one in (dampers, *bounds.values())
+        dampers, *references = (
+            replace(group, slip=np.full_like(group.slip, typical))
+            for group in (dampers, *bounds.values())
         )
-        bounds = dict(zip(bounds, few, strict=True))
+        bounds = dict(zip(bounds, references, strict=True))
     response = response_of(built, motions, dampers, tolerance, bounds, jobs, observe)
     response = seen_peaks(response, run.peaks, seed, scatter=kind == "new_test")
     remarks = [*chain.from_iterable(beyond_tests(run, response))]

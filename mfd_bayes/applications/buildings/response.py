@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from mfd_bayes.applications.buildings.building import Building, Limits
+from mfd_bayes.applications.buildings.building import Building, ResponseLimits
 from mfd_bayes.applications.buildings.dampers import (
     BOUND,
     Dampers,
@@ -110,8 +110,8 @@ class Response:
         try:
             return ~self.unstable[:, ground]
         except IndexError as error:
-            known = f"0 to {len(self.grounds) - 1}"
-            raise NotThereError(f"no ground motion {ground!r}: there are {known}") from error
+            numbers = f"0 to {len(self.grounds) - 1}"
+            raise NotThereError(f"no ground motion {ground!r}: there are {numbers}") from error
 
     @property
     def drift_ratio(self) -> Array:
@@ -121,7 +121,7 @@ class Response:
     @property
     def faults(self) -> tuple[str, ...]:
         """What is wrong with some draws, in sentences that name them."""
-        found = []
+        messages = []
         for g, ground in enumerate(self.grounds):
             for flags, words in (
                 (self.unstable, "diverged and are left out of every figure"),
@@ -130,20 +130,22 @@ class Response:
                     f"have a drift that may be off by more than {100.0 * self.tolerance:.2g} %",
                 ),
             ):
-                at = np.flatnonzero(flags[:, g])
-                if at.size:
-                    listed = ", ".join(map(str, at[:10])) + (", …" if at.size > 10 else "")
-                    found.append(
-                        f"{ground.name}: {at.size} of {self.draws} draws {words}: {listed}"
+                indices = np.flatnonzero(flags[:, g])
+                if indices.size:
+                    listed = ", ".join(map(str, indices[:10])) + (
+                        ", …" if indices.size > 10 else ""
                     )
-        return tuple(found)
+                    messages.append(
+                        f"{ground.name}: {indices.size} of {self.draws} draws {words}: {listed}"
+                    )
+        return tuple(messages)
 
     def quantities(self) -> dict[str, tuple[str, tuple[str, ...], Array]]:
         """Unit, names of the places and values (n, g, places) of each quantity of the tables."""
         storeys = self.building.floors
         floors = tuple(f"floor {i + 1}" for i in range(self.building.freedoms))
         names = tuple(device.name for device in self.building.devices)
-        found = {
+        table = {
             "drift ratio": ("1", storeys, self.drift_ratio),
             "drift": ("in", storeys, self.drift),
             "acceleration": ("in/s^2", floors, self.acceleration),
@@ -155,8 +157,8 @@ class Response:
             "damper energy": ("kip*in", names, self.energy),
         }
         if not np.all(np.isfinite(self.building.heights)):
-            del found["drift ratio"], found["residual drift ratio"]
-        return found
+            del table["drift ratio"], table["residual drift ratio"]
+        return table
 
     def rows(self) -> list[Row]:
         """Median, mean and bands of peaks and residuals, under each ground motion at each place.
@@ -168,20 +170,20 @@ class Response:
         names, rows = [percent(p) for p in PROBABILITIES], []
         for g, ground in enumerate(self.grounds):
             for quantity, (unit, places, values) in self.quantities().items():
-                used = values[self.usable(g), g]
-                if quantity == "residual drift ratio" or not len(used):
+                peaks = values[self.usable(g), g]
+                if quantity == "residual drift ratio" or not len(peaks):
                     continue
                 skipped = ("bare", "plain") if quantity.startswith("damper") else ()
-                for i, place in enumerate(places):
-                    own = used[:, i]
-                    bands = [tuple(np.quantile(own, tail).tolist()) for tail in tails]
+                for i, location in enumerate(places):
+                    column = peaks[:, i]
+                    bands = [tuple(np.quantile(column, tail).tolist()) for tail in tails]
                     row: Row = {
                         "quantity": quantity,
                         "ground": ground.name,
-                        "place": place,
+                        "place": location,
                         "unit": unit,
-                        "median": float(np.median(own)),
-                        "mean": float(own.mean()),
+                        "median": float(np.median(column)),
+                        "mean": float(column.mean()),
                         "bands": dict(zip(names, bands, strict=True)),
                         **dict.fromkeys(REFERENCES, np.nan),
                     }
@@ -196,13 +198,13 @@ class Response:
 
         It is the share of the draws, with its 95 % interval for their number (Jeffreys).
         """
-        given, quantities, rows = self.building.limits, self.quantities(), []
+        settings, quantities, rows = self.building.limits, self.quantities(), []
         limits = {
-            "drift ratio": given.drift,
-            "acceleration": given.acceleration,
-            "base shear": given.base_shear,
-            "damper travel": given.travel,
-            "residual drift ratio": given.residual,
+            "drift ratio": settings.drift,
+            "acceleration": settings.acceleration,
+            "base shear": settings.base_shear,
+            "damper travel": settings.travel,
+            "residual drift ratio": settings.residual,
         }
         for quantity, limit in limits.items():
             if limit is None or not quantities[quantity][1]:
@@ -244,21 +246,22 @@ def share_interval(count: int, n: int, probability: float = 0.95) -> tuple[float
     return (float(low) if count else 0.0, float(high) if count < n else 1.0)
 
 
-def combined(parts: Sequence[Sequence[Response]], dampers: Dampers) -> Response:
+def combined(blocks: Sequence[Sequence[Response]], dampers: Dampers) -> Response:
     """Response of all dampers to all ground motions, of parts of the draws under each."""
-    by_ground = list(zip(*parts, strict=True))
+    by_ground = list(zip(*blocks, strict=True))
     arrays: dict[str, Any] = {
         name: np.concatenate(
-            [np.concatenate([getattr(part, name) for part in some]) for some in by_ground], axis=1
+            [np.concatenate([getattr(block, name) for block in group]) for group in by_ground],
+            axis=1,
         )
         for name in PER_DRAW
     }
     for name in PER_GROUND:
         arrays[name] = tuple(
-            np.concatenate([getattr(part, name)[0] for part in some]) for some in by_ground
+            np.concatenate([getattr(block, name)[0] for block in group]) for group in by_ground
         )
-    grounds = tuple(part.grounds[0] for part in parts[0])
-    return replace(parts[0][0], grounds=grounds, dampers=dampers, **arrays)
+    grounds = tuple(block.grounds[0] for block in blocks[0])
+    return replace(blocks[0][0], grounds=grounds, dampers=dampers, **arrays)
 
 
 def seen_peaks(response: Response, peaks: Peaks, seed: int, *, scatter: bool = True) -> Response:
@@ -274,13 +277,13 @@ def seen_peaks(response: Response, peaks: Peaks, seed: int, *, scatter: bool = T
     def seen(of: Response, probability: float | None = None) -> Response:
         sides = []
         computed, slips = (of.peak_fwd, of.peak_bwd), of.dampers.slip_forces()[:, :, None]
-        for excess, largest, slip, usual in zip(
+        for excess, largest, slip, typical in zip(
             peaks.values(), computed, slips, middle, strict=True
         ):
             if probability is None:
                 scores = excess.scores(rng, slip.shape) * scatter
             else:
-                spread = largest * np.nan_to_num(np.abs(1.0 - usual / slip))
+                spread = largest * np.nan_to_num(np.abs(1.0 - typical / slip))
                 scores = excess.bound(probability, spread, of.speed)
             sides.append(excess.seen(largest, of.speed, slip, scores))
         return replace(of, peak_fwd=sides[0], peak_bwd=sides[1])
@@ -313,35 +316,35 @@ def variance_shares(
     divided by the mean gain over orders of adding the sources (Lindeman, Merenda and Gold, 1980).
     What no source explains stays as "interactions and the rest".
     """
-    good = response.usable(ground)
-    values = response.measure(quantity)[good, ground]
+    usable = response.usable(ground)
+    values = response.measure(quantity)[usable, ground]
     if len(values) < FEWEST or np.ptp(values) <= 0.0:
         return {}
     columns = {}
-    for name, about in response.dampers.about.items():
-        mean = about[good].mean(axis=1)
-        column = np.column_stack([mean, (mean - mean.mean()) ** 2, about[good][:, :PLACES]])
+    for name, source in response.dampers.about.items():
+        mean = source[usable].mean(axis=1)
+        column = np.column_stack([mean, (mean - mean.mean()) ** 2, source[usable][:, :PLACES]])
         spread = column.std(axis=0)
         if np.any(spread > 0):
             columns[name] = ((column - column.mean(axis=0))[:, spread > 0]) / spread[spread > 0]
-    within = values - values.mean()
+    centred = values - values.mean()
 
     def explained(names: list[str]) -> float:
         design = np.concatenate([columns[name] for name in names], axis=1)
-        fit, _, rank, _ = np.linalg.lstsq(design, within, rcond=1e-8)
-        freedom = len(within) - 1 - int(rank)
+        fit, _, rank, _ = np.linalg.lstsq(design, centred, rcond=1e-8)
+        freedom = len(centred) - 1 - int(rank)
         if freedom <= 0:
             return 0.0
-        left = np.sum((within - design @ fit) ** 2) / np.sum(within**2)
-        return max(0.0, 1.0 - float(left) * (len(within) - 1) / freedom)
+        unexplained = np.sum((centred - design @ fit) ** 2) / np.sum(centred**2)
+        return max(0.0, 1.0 - float(unexplained) * (len(centred) - 1) / freedom)
 
     gains, rng = dict.fromkeys(columns, 0.0), np.random.default_rng(0)
     for _ in range(ORDERS):
-        order, before = rng.permutation(list(columns)).tolist(), 0.0
+        order, previous = rng.permutation(list(columns)).tolist(), 0.0
         for k, name in enumerate(order, start=1):
-            after = max(before, explained(order[:k]))
-            gains[name] += (after - before) / ORDERS
-            before = after
+            current = max(previous, explained(order[:k]))
+            gains[name] += (current - previous) / ORDERS
+            previous = current
     return {**gains, REST: max(0.0, 1.0 - sum(gains.values()))}
 
 
@@ -401,10 +404,10 @@ def parse_sweep(text: str) -> tuple[Array, str]:
             "'in 5 steps' after it"
         )
     try:
-        (low, unit), (high, other) = (parse_actuation(match[i], of="--sweep") for i in (1, 2))
+        (low, unit), (high, high_unit) = (parse_actuation(match[i], of="--sweep") for i in (1, 2))
     except UnitError as error:
         raise BuildingError(str(error)) from error
-    if unit != other or not 0 < low < high:
+    if unit != high_unit or not 0 < low < high:
         raise BuildingError(
             f"--sweep {text!r}: expected two levels above 0 of one kind, the lower one first"
         )
@@ -414,7 +417,7 @@ def parse_sweep(text: str) -> tuple[Array, str]:
     return np.linspace(low, high, steps + 1), unit
 
 
-def check_goal(quantity: str, goal: str, limits: Limits) -> float:
+def check_goal(quantity: str, goal: str, limits: ResponseLimits) -> float:
     """The limit that a quantity may not pass; NaN where the goal needs none."""
     if quantity not in QUANTITIES:
         raise BuildingError(f"unknown quantity {quantity!r}: expected {' or '.join(QUANTITIES)}")
@@ -436,38 +439,38 @@ def sweep_of(
     """
     levels, unit = swept
     limit = check_goal(quantity, goal, responses[0].building.limits)
-    away = np.array([r.unstable.any(axis=1) for r in responses])
-    lost = away.mean(axis=1) > MOST_AWAY
+    diverged = np.array([r.unstable.any(axis=1) for r in responses])
+    lost = diverged.mean(axis=1) > MOST_AWAY
     if lost.all():
         raise BuildingError("the sweep says nothing: many draws ran away at every level")
     # a draw that ran away at one level is left out at all: the others are of the same dampers
-    usable = ~away[~lost].any(axis=0)
+    usable = ~diverged[~lost].any(axis=0)
     values = {name: np.stack([r.measure(name)[usable] for r in responses]) for name in QUANTITIES}
     for value in values.values():
         value[lost] = np.nan
-    shown = values[quantity]
+    objective = values[quantity]
     if goal == "passing":  # limits are of ratios of drifts, and of accelerations in in/s²
         peaks = [r.drift_ratio if quantity == "drift" else r.acceleration for r in responses]
-        shown = np.stack([peak.max(axis=-1)[usable] for peak in peaks])
-    n = shown.shape[1]
+        objective = np.stack([peak.max(axis=-1)[usable] for peak in peaks])
+    n = objective.shape[1]
 
     def score(of: Array) -> Array:
         return np.where(lost, np.inf, GOALS[goal](of.reshape(len(levels), -1), limit))
 
-    scores, rng = score(shown), np.random.default_rng(seed)
+    scores, rng = score(objective), np.random.default_rng(seed)
     resampled = [
-        _lowest(levels, score(shown[:, rng.integers(n, size=n)])) for _ in range(RESAMPLES)
+        _lowest(levels, score(objective[:, rng.integers(n, size=n)])) for _ in range(RESAMPLES)
     ]
     firsts, lasts = np.transpose(resampled)
-    first, last = _lowest(levels, scores)
+    lower, upper = _lowest(levels, scores)
     low, high = float(np.quantile(firsts, 0.05)), float(np.quantile(lasts, 0.95))
-    best = first
-    if first < last:
-        best, low, high = np.nan, min(first, low), max(last, high)
+    best = lower
+    if lower < upper:
+        best, low, high = np.nan, min(lower, low), max(upper, high)
     remarks = []
-    if out := int((~usable).sum()):
+    if count := int((~usable).sum()):
         remarks.append(
-            f"the sweep leaves out {out} of {usable.size} draws, which diverged at one of its "
+            f"the sweep leaves out {count} of {usable.size} draws, which diverged at one of its "
             "levels"
         )
     if lost.any():
@@ -487,10 +490,10 @@ def _lowest(levels: Array, scores: Array) -> tuple[float, float]:
     ties = levels[scores == scores[k]]
     if ties.size > 1:
         return float(ties[0]), float(ties[-1])
-    place = float(levels[k])
+    level = float(levels[k])
     if 0 < k < len(levels) - 1:
         a, b, c = scores[k - 1 : k + 2]
         bend = a - 2.0 * b + c
         if np.isfinite(a + c) and bend > 0:
-            place += float(0.5 * (a - c) / bend * (levels[1] - levels[0]))
-    return place, place
+            level += float(0.5 * (a - c) / bend * (levels[1] - levels[0]))
+    return level, level

@@ -26,7 +26,7 @@ from mfd_bayes.applications.buildings.response import (
     Response,
     combined,
 )
-from mfd_bayes.jobs.job import Outcome, State, Step, Workplace
+from mfd_bayes.jobs.job import JobState, Outcome, Step, Workplace
 from mfd_bayes.jobs.local import run_jobs
 
 if TYPE_CHECKING:
@@ -85,8 +85,8 @@ class Devices:
             )
             yielding = ElastoPlastic.at_rest(stiffness, strength, elastic=stiffness)
             states.append((yielding, slice(m, m + int(strong.sum()))))
-        none = np.zeros((n, m + int(strong.sum())))
-        return cls((), none, dampers.times, dampers.scales)._with(states)
+        zero = np.zeros((n, m + int(strong.sum())))
+        return cls((), zero, dampers.times, dampers.scales)._with(states)
 
     def _with(self, states: Sequence[tuple[Any, slice]]) -> Devices:
         force = np.zeros(self.force.shape)
@@ -98,11 +98,11 @@ class Devices:
         """Devices after a step to `time`, from travels and velocities (n, m + s)."""
         scales, states = None, []
         if self.times is not None:
-            place = float(np.interp(time, self.times, np.arange(self.times.size)))
-            left = min(int(place), self.times.size - 2)
-            share = place - left
+            position = float(np.interp(time, self.times, np.arange(self.times.size)))
+            index = min(int(position), self.times.size - 2)
+            share = position - index
             scales = {
-                name: ((1.0 - share) * s[..., left] + share * s[..., left + 1]).ravel()
+                name: ((1.0 - share) * s[..., index] + share * s[..., index + 1]).ravel()
                 for name, s in self.scales.items()
             }
         for state, columns in self.states:
@@ -113,17 +113,17 @@ class Devices:
 
     def chosen(self, rows: Rows) -> Devices:
         """The devices of some buildings."""
-        some = [(state.chosen(_flat(rows, columns)), columns) for state, columns in self.states]
+        states = [(state.chosen(_flat(rows, columns)), columns) for state, columns in self.states]
         scales = {name: column[rows] for name, column in self.scales.items()}
-        return Devices(tuple(some), self.force[rows], self.times, scales)
+        return Devices(tuple(states), self.force[rows], self.times, scales)
 
-    def replaced(self, rows: Rows, part: Devices) -> Devices:
+    def replaced(self, rows: Rows, replacement: Devices) -> Devices:
         """The devices with the state of those of some buildings replaced."""
-        pairs = zip(self.states, part.states, strict=True)
+        pairs = zip(self.states, replacement.states, strict=True)
         return self._with(
             [
-                (old.replaced(_flat(rows, columns), new), columns)
-                for (old, columns), (new, _) in pairs
+                (state.replaced(_flat(rows, columns), update), columns)
+                for (state, columns), (update, _) in pairs
             ]
         )
 
@@ -159,35 +159,35 @@ class Propagator:
         """Step of `size` seconds, with devices at places (m, N) and braces (m,), in/kip."""
         n, m = building.freedoms, len(places)
         inverse = linalg.inv(building.mass)
-        whole = np.zeros((2 * n + 3 * (1 + m),) * 2)
-        whole[:n, n : 2 * n] = np.eye(n)
-        whole[n : 2 * n, :n] = -inverse @ building.stiffness
-        whole[n : 2 * n, n : 2 * n] = -inverse @ building.damping
-        whole[n : 2 * n, 2 * n] = -building.influence
-        whole[n : 2 * n, 2 * n + 1 : 2 * n + 1 + m] = -inverse @ places.T
-        whole[: 2 * n] *= size / 4.0
-        whole[2 * n : 2 * n + 2 * (1 + m), 2 * n + 1 + m :] = np.eye(2 * (1 + m)) / 4.0
-        quarter = linalg.expm(whole)
-        columns, power = [], np.eye(len(whole))
+        generator = np.zeros((2 * n + 3 * (1 + m),) * 2)
+        generator[:n, n : 2 * n] = np.eye(n)
+        generator[n : 2 * n, :n] = -inverse @ building.stiffness
+        generator[n : 2 * n, n : 2 * n] = -inverse @ building.damping
+        generator[n : 2 * n, 2 * n] = -building.influence
+        generator[n : 2 * n, 2 * n + 1 : 2 * n + 1 + m] = -inverse @ places.T
+        generator[: 2 * n] *= size / 4.0
+        generator[2 * n : 2 * n + 2 * (1 + m), 2 * n + 1 + m :] = np.eye(2 * (1 + m)) / 4.0
+        quarter = linalg.expm(generator)
+        columns, power = [], np.eye(len(generator))
         for _ in range(4):  # the load's powers of time go on from quarter to quarter
             power = quarter @ power
             columns.append(power[: 2 * n].T)
-        found = np.concatenate(columns, axis=1)
-        one, linear, square = np.split(found[2 * n :], 3)  # answers to loads 1, s and s²/2
-        first, bump = one - linear, 4.0 * linear - 8.0 * square
-        free = np.concatenate([found[: 2 * n], first[1:]])
-        shaken = np.array([first[0], linear[0]])
+        solution = np.concatenate(columns, axis=1)
+        constant, linear, square = np.split(solution[2 * n :], 3)  # answers to loads 1, s and s²/2
+        decreasing, bump = constant - linear, 4.0 * linear - 8.0 * square
+        transition = np.concatenate([solution[: 2 * n], decreasing[1:]])
+        shaken = np.array([decreasing[0], linear[0]])
         forced = np.concatenate([linear[1:], bump[1:]])
         travels = np.kron(np.eye(4), places.T)
-        free, shaken, forced = (
+        transition, shaken, forced = (
             np.concatenate([a, a[:, np.r_[2 * n : 4 * n, 6 * n : 8 * n]] @ travels], axis=1)
-            for a in (free, shaken, forced)
+            for a in (transition, shaken, forced)
         )
-        loss, rate, none = np.diag(brace), np.diag(brace) / size, np.zeros((m, m))
-        free[2 * n :, 8 * n :] -= np.concatenate([0.5 * loss, -rate, none, -rate], axis=1)
+        loss, rate, zero = np.diag(brace), np.diag(brace) / size, np.zeros((m, m))
+        transition[2 * n :, 8 * n :] -= np.concatenate([0.5 * loss, -rate, zero, -rate], axis=1)
         forced[:m, 8 * n :] -= np.concatenate([0.5 * loss, rate, loss, rate], axis=1)
-        forced[m:, 8 * n :] -= np.concatenate([loss, none, none, -4.0 * rate], axis=1)
-        return cls(size, free, shaken, forced)
+        forced[m:, 8 * n :] -= np.concatenate([loss, zero, zero, -4.0 * rate], axis=1)
+        return cls(size, transition, shaken, forced)
 
     def inner(self, state: Array, shaking: Array, forces: Array) -> Array:
         """States after ¼, ½ and ¾ of the step, (3, r, 2N).
@@ -195,13 +195,13 @@ class Propagator:
         `state` is (r, 2N), `shaking` (2,), and `forces` are (3, r, m), kip: at the begin,
         in the middle and at the end.
         """
-        first, middle, last = forces
+        begin, middle, end = forces
         width = 3 * state.shape[1]
-        given = np.concatenate([state, first], axis=1) @ self.free[:, :width]
-        given += shaking @ self.shaken[:, :width]
-        curve = np.concatenate([last, middle - 0.5 * (first + last)], axis=1)
-        given += curve @ self.forced[:, :width]
-        return given.reshape(len(state), 3, -1).swapaxes(0, 1)
+        states = np.concatenate([state, begin], axis=1) @ self.free[:, :width]
+        states += shaking @ self.shaken[:, :width]
+        curve = np.concatenate([end, middle - 0.5 * (begin + end)], axis=1)
+        states += curve @ self.forced[:, :width]
+        return states.reshape(len(state), 3, -1).swapaxes(0, 1)
 
 
 def equilibrium(
@@ -211,7 +211,7 @@ def equilibrium(
     flexibility: Array,
     begin: tuple[Array, Array],
     tolerance: Array,
-    most: int,
+    max_iterations: int,
 ) -> tuple[Devices, Array, Array, NDArray[np.bool_]]:
     """Devices that answer their motion with the forces that cause it, by Newton's method.
 
@@ -224,57 +224,59 @@ def equilibrium(
     Returned are the devices, their forces and those changes, (n, m) each, and which of the n
     buildings are in equilibrium, (n,).
     """
-    (force, slope), own, last = begin, np.abs(flexibility.diagonal()), begin
+    (force, slope), diagonal, previous = begin, np.abs(flexibility.diagonal()), begin
     # −A is symmetric and positive. Where no slope is below this, the eigenvalues of I − K A are ½
     # or more, for any number of devices that share a travel: its solution is unique
     softest = -0.5 / np.abs(flexibility).sum(axis=1)
     low, high = np.full_like(force, -np.inf), np.full_like(force, np.inf)
-    for iteration in range(most):
+    for iteration in range(max_iterations):
         travel, velocity = motion(force)
-        after = devices.step(travel, velocity, *when)
-        off = after.force - force
-        far = ~(np.abs(off) <= tolerance)
+        trial = devices.step(travel, velocity, *when)
+        residual = trial.force - force
+        far = ~(np.abs(residual) <= tolerance)
         if iteration:
-            way = travel - last[0]
-            usable = np.abs(way) > 0.1 * tolerance * own
-            secant = (after.force - last[1]) / np.where(usable, way, 1.0)
+            way = travel - previous[0]
+            usable = np.abs(way) > 0.1 * tolerance * diagonal
+            secant = (trial.force - previous[1]) / np.where(usable, way, 1.0)
             usable &= np.isfinite(secant)
-            slope = np.where(usable, np.clip(secant, softest, 1e4 / own), slope)
+            slope = np.where(usable, np.clip(secant, softest, 1e4 / diagonal), slope)
         if not far.any():
             break
-        last = travel, after.force
-        new = force + _solved(slope, flexibility, off)
+        previous = travel, trial.force
+        proposal = force + _solved(slope, flexibility, residual)
         if iteration >= NEWTON:
             # the answer less the force falls with the force; a bracket is opened again where it
             # was passed as other devices moved
-            above, below = off > 0, off < 0
-            high = np.where(above & (force >= high), np.inf, high)
-            low = np.where(below & (force <= low), -np.inf, low)
+            positive, negative = residual > 0, residual < 0
+            high = np.where(positive & (force >= high), np.inf, high)
+            low = np.where(negative & (force <= low), -np.inf, low)
             low, high = (
-                np.where(above, np.maximum(low, force), low),
-                np.where(below, np.minimum(high, force), high),
+                np.where(positive, np.maximum(low, force), low),
+                np.where(negative, np.minimum(high, force), high),
             )
             far &= ~(high - low <= JUMP * tolerance)
             if not far.any():
                 break
-            new = np.where(far & ~((low < new) & (new < high)), 0.5 * (low + high), new)
+            proposal = np.where(
+                far & ~((low < proposal) & (proposal < high)), 0.5 * (low + high), proposal
+            )
         # a building in equilibrium stays as it is, whatever others do
-        force = np.where(np.isfinite(new) & far.any(axis=1, keepdims=True), new, force)
-    answered = np.abs(off) <= tolerance
-    return after, np.where(answered, after.force, force), slope, np.asarray(~far.any(axis=1))
+        force = np.where(np.isfinite(proposal) & far.any(axis=1, keepdims=True), proposal, force)
+    answered = np.abs(residual) <= tolerance
+    return trial, np.where(answered, trial.force, force), slope, np.asarray(~far.any(axis=1))
 
 
-def _solved(slope: Array, flexibility: Array, off: Array) -> Array:
+def _solved(slope: Array, flexibility: Array, residual: Array) -> Array:
     """Solution d of (I − K A) d = off, with slopes K (n, m) and a flexibility A (m, m)."""
     system = np.eye(len(flexibility)) - slope[:, :, None] * flexibility
-    return np.asarray(np.linalg.solve(system, off[..., None])[..., 0])
+    return np.asarray(np.linalg.solve(system, residual[..., None])[..., 0])
 
 
 class _Draws:
     """Draws of a building under one ground motion, each stepped as its forces bend; its record."""
 
     def __init__(
-        self, building: Building, ground: Ground, dampers: Dampers, bend: float, kept: int
+        self, building: Building, ground: Ground, dampers: Dampers, bend: float, count: int
     ) -> None:
         self.building, self.ground, self.dampers, self.bend = building, ground, dampers, bend
         strong = np.isfinite(building.yields)
@@ -307,12 +309,12 @@ class _Draws:
         self.residual, self.late_time = np.zeros((n, storeys)), np.zeros((n, 1))
         self.most_input, self.most_lost = np.zeros((2, n))
         self.histories = np.zeros((n, samples, storeys), dtype=np.float32)
-        self.loops = np.zeros((2, min(kept, n), samples, devices), dtype=np.float32)
+        self.loops = np.zeros((2, min(count, n), samples, devices), dtype=np.float32)
 
     def advance(self, rows: Rows, begin: float, level: int) -> None:
         """Move draws by a step of a level, from `begin`, in samples; or by two of the next one."""
-        wish = self.level[rows] > level
-        ready, deeper = rows[~wish], rows[wish]
+        finer = self.level[rows] > level
+        ready, deeper = rows[~finer], rows[finer]
         if ready.size:
             late = ready[~self.step(ready, begin, level)]
             self.level[late] = level + 1
@@ -332,73 +334,73 @@ class _Draws:
         low, high = self.ground.acceleration[k : k + 2].tolist()
         ends = np.array([begin, begin + size / self.ground.step])
         shaking, time = low + (ends - k) * (high - low), begin * self.ground.step
-        every = rows.size == len(self.state)
-        devices = self.devices if every else self.devices.chosen(rows)
-        state, rest, scale = self.state[rows], self.rest[rows], self.scale[rows]
-        first, slope = devices.force - rest, self.slope[rows]
-        free = np.concatenate([state, first], axis=1) @ linear.free[:, 6 * n :]
-        free += shaking @ linear.shaken[:, 6 * n :]
+        is_full = rows.size == len(self.state)
+        devices = self.devices if is_full else self.devices.chosen(rows)
+        state, rest_force, scale = self.state[rows], self.rest[rows], self.scale[rows]
+        f0, slope = devices.force - rest_force, self.slope[rows]
+        unforced = np.concatenate([state, f0], axis=1) @ linear.free[:, 6 * n :]
+        unforced += shaking @ linear.shaken[:, 6 * n :]
         forced, half, full = linear.forced[:, 6 * n :], 2 * n, 2 * n + 2 * m
 
         def motion(force: Array) -> tuple[Array, Array]:
-            moved = free[:, full:] + (force - rest) @ forced[:m, full:]
+            moved = unforced[:, full:] + (force - rest_force) @ forced[:m, full:]
             return moved[:, :m], moved[:, m:]
 
-        after, force, slope, closed = equilibrium(
+        final, force, slope, closed = equilibrium(
             *(devices, motion, (size, time + size), forced[:m, full : full + m].T),
             *((devices.force + size * self.rate[rows], slope), CLOSE * scale),
             ITERATIONS[level == HALVINGS],
         )
-        last = force - rest
-        moved = free[:, half:full] + last @ forced[:m, half:full]
-        there = devices.step(moved[:, :m], moved[:, m:], 0.5 * size, time + 0.5 * size)
-        answer = there.force - rest - 0.5 * (first + last)
+        f1 = force - rest_force
+        moved = unforced[:, half:full] + f1 @ forced[:m, half:full]
+        middle = devices.step(moved[:, :m], moved[:, m:], 0.5 * size, time + 0.5 * size)
+        answer = middle.force - rest_force - 0.5 * (f0 + f1)
         # the bump itself takes from the travel in the middle: one iteration of Newton's
         bump = _solved(slope, forced[m:, half : half + m].T, answer)
         bump = np.clip(bump, np.minimum(answer, 0.0), np.maximum(answer, 0.0))
-        curve = np.concatenate([last, bump], axis=1)
-        end = free[:, : 2 * n] + curve @ forced[:, : 2 * n]
+        curve = np.concatenate([f1, bump], axis=1)
+        end = unforced[:, : 2 * n] + curve @ forced[:, : 2 * n]
         bent = np.max(np.abs(bump) / scale, axis=1, initial=0.0) * size / (LONGEST * self.bend)
-        sound = (np.abs(end).max(axis=1) < RUNAWAY) & np.isfinite(last).all(axis=1)
-        good = closed & (bent <= 1.0) & sound
+        sound = (np.abs(end).max(axis=1) < RUNAWAY) & np.isfinite(f1).all(axis=1)
+        mask = closed & (bent <= 1.0) & sound
         if level == HALVINGS:
-            self.open[rows[~good]] += size
+            self.open[rows[~mask]] += size
             self.unstable[rows[~sound]] = True
             self.state[rows[~sound]] = 0.0
-            good = sound
-        if not good.any():
-            return np.asarray(good)
-        taken, error = rows[good], self.error[rows] @ linear.free[: 2 * n, 6 * n : 8 * n]
+            mask = sound
+        if not mask.any():
+            return np.asarray(mask)
+        moved_rows, error = rows[mask], self.error[rows] @ linear.free[: 2 * n, 6 * n : 8 * n]
         error += bump @ forced[m:, : 2 * n]
-        off = np.abs(error[:, :n] @ self.building.drifts.T).max(axis=1)
-        for column, new in (
+        drift_error = np.abs(error[:, :n] @ self.building.drifts.T).max(axis=1)
+        for column, values in (
             (self.state, end),
             (self.error, error),
             (self.slope, slope),
-            (self.rate, (last - first) / size),
+            (self.rate, (f1 - f0) / size),
             (self.level, np.maximum(level - (bent < EASY), 0)),
             (self.deepest, np.maximum(self.deepest[rows], level)),
-            (self.change, np.maximum(self.change[rows], off)),
+            (self.change, np.maximum(self.change[rows], drift_error)),
         ):
-            column[taken] = new[good]
-        forces = np.stack([first, 0.5 * (first + last) + bump, last])[:, good]
-        inner = linear.inner(state[good], shaking, forces)
-        states = np.concatenate([state[None, good], inner, end[None, good]])
-        self.record(taken, time, size, shaking, states, forces)
-        if every and good.all():
-            self.devices = after
+            column[moved_rows] = values[mask]
+        forces = np.stack([f0, 0.5 * (f0 + f1) + bump, f1])[:, mask]
+        inner = linear.inner(state[mask], shaking, forces)
+        states = np.concatenate([state[None, mask], inner, end[None, mask]])
+        self.record(moved_rows, time, size, shaking, states, forces)
+        if is_full and mask.all():
+            self.devices = final
         else:
-            self.devices = self.devices.replaced(taken, after.chosen(np.flatnonzero(good)))
-        return np.asarray(good)
+            self.devices = self.devices.replaced(moved_rows, final.chosen(np.flatnonzero(mask)))
+        return np.asarray(mask)
 
     def sample(self, k: int) -> None:
         """Keep the histories and the energy of all draws at a sample of the ground motion."""
-        building, m, kept = self.building, len(self.building.devices), len(self.loops[0])
+        building, m, count = self.building, len(self.building.devices), len(self.loops[0])
         x, v = np.split(self.state, 2, axis=1)
         force, pulled = self.devices.force, self.devices.force - self.rest
         self.histories[:, k] = x @ building.drifts.T
-        travels = x[:kept] @ self.places[:m].T - (pulled * self.brace)[:kept, :m]
-        self.loops[:, :, k] = travels, force[:kept, :m]
+        travels = x[:count] @ self.places[:m].T - (pulled * self.brace)[:count, :m]
+        self.loops[:, :, k] = travels, force[:count, :m]
         # energy that is not accounted for, now
         stored = 0.5 * ((v @ building.mass) * v + (x @ building.stiffness) * x).sum(axis=1)
         lost = self.work[:, 0] - self.work[:, 1:].sum(axis=1) - stored
@@ -417,9 +419,9 @@ class _Draws:
         what they hold at rest, in which the building is in equilibrium.
         """
         building, n, m = self.building, self.building.freedoms, len(self.building.devices)
-        (first, half, last), share = forces, np.linspace(0.0, 1.0, 5)[:, None, None]
-        pulled = (1.0 - share) * first + share * last
-        pulled += 4.0 * share * (1.0 - share) * (half - 0.5 * (first + last))
+        (f0, half, f1), share = forces, np.linspace(0.0, 1.0, 5)[:, None, None]
+        pulled = (1.0 - share) * f0 + share * f1
+        pulled += 4.0 * share * (1.0 - share) * (half - 0.5 * (f0 + f1))
         x, v = state[..., :n], state[..., n:]
         weights = building.mass @ building.influence
         load = x @ building.stiffness + v @ building.damping + pulled @ self.places
@@ -436,11 +438,11 @@ class _Draws:
         }
         for name, values in peaks.items():
             self.peaks[name][rows] = np.maximum(self.peaks[name][rows], np.abs(values).max(axis=0))
-        along = (1.0 - share[..., 0]) * shaking[0] + share[..., 0] * shaking[1]
-        given = -along * (v @ weights)
+        ground_acceleration = (1.0 - share[..., 0]) * shaking[0] + share[..., 0] * shaking[1]
+        input_power = -ground_acceleration * (v @ weights)
         damped = ((v @ building.damping) * v).sum(axis=-1)
         power = np.concatenate(
-            [given[..., None], damped[..., None], pulled * (v @ self.places.T)], axis=2
+            [input_power[..., None], damped[..., None], pulled * (v @ self.places.T)], axis=2
         )
         self.work[rows] += size * np.tensordot(BOOLE, power, axes=1)
         if time + size > self.late:
@@ -473,22 +475,22 @@ def integrate(
     dampers: Dampers,
     bend: float,
     *,
-    kept: int = 0,
+    count: int = 0,
     tick: Callable[[float], object] = lambda share: None,
 ) -> Response:
     """Response of every draw to one ground motion.
 
     A step is halved where a device's force in its middle, off the mean of those at its ends, gives
     a larger impulse than the share `bend` of the slip force in the longest step. The histories of
-    the dampers are kept of the first draws, `kept` of them. `tick` is called with the share of the
+    the dampers are kept of the first draws, `count` of them. `tick` is called with the share of the
     motion that is done.
     """
-    draws, samples = _Draws(building, ground, dampers, bend, kept), ground.time.size
+    draws, samples = _Draws(building, ground, dampers, bend, count), ground.time.size
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(samples):
             draws.sample(k)
-            for part in range(draws.parts if k < samples - 1 else 0):
-                draws.advance(np.flatnonzero(~draws.unstable), k + part / draws.parts, 0)
+            for substep in range(draws.parts if k < samples - 1 else 0):
+                draws.advance(np.flatnonzero(~draws.unstable), k + substep / draws.parts, 0)
             if not k % 100:
                 tick(k / samples)
     return draws.response()
@@ -511,20 +513,20 @@ def settle(
     A draw whose drift has an estimated relative error above the tolerance is computed again with
     shorter steps, at most so many `rounds`.
     """
-    bend, kept = min(BEND * tolerance, LARGEST_BEND), KEPT
-    response = integrate(building, ground, dampers, bend, kept=kept, tick=tick)
+    bend, count = min(BEND * tolerance, LARGEST_BEND), KEPT
+    response = integrate(building, ground, dampers, bend, count=count, tick=tick)
     for _ in range(rounds):
         rows = np.flatnonzero((response.change > tolerance) & ~response.unstable)
         if not rows.size:
             break
         bend *= SHARPER
-        kept = int(np.searchsorted(rows, KEPT))
-        fine = integrate(building, ground, dampers.chosen(rows), bend, kept=kept, tick=tick)
+        count = int(np.searchsorted(rows, KEPT))
+        fine = integrate(building, ground, dampers.chosen(rows), bend, count=count, tick=tick)
         for name in PER_DRAW:
             getattr(response, name)[rows] = getattr(fine, name)
         for name in PER_GROUND:
-            (old,), (new,) = getattr(response, name), getattr(fine, name)
-            old[rows[: len(new)]] = new
+            (target,), (source,) = getattr(response, name), getattr(fine, name)
+            target[rows[: len(source)]] = source
     return response
 
 
@@ -539,20 +541,20 @@ class Block:
     tolerance: float
     makes: tuple[str, ...] = ()
 
-    def needs(self, out: Path) -> tuple[str, ...]:
+    def needs(self, folder: Path) -> tuple[str, ...]:
         """No files."""
         return ()
 
-    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
+    def run(self, folder: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Compute the response of its draws, the value of the outcome."""
-        begun = time.perf_counter()
+        started = time.perf_counter()
 
         def tick(share: float) -> None:
             observe(Step(self.id, "in the earthquake", message=f"{share:.0%}" if share else ""))
 
         tick(0.0)
         response = settle(self.building, self.ground, self.dampers, self.tolerance, tick=tick)
-        return Outcome(self.id, State.DONE, time.perf_counter() - begun, value=response)
+        return Outcome(self.id, JobState.DONE, time.perf_counter() - started, value=response)
 
 
 def response_of(
@@ -571,34 +573,34 @@ def response_of(
     """
     size = max(10, ROWS // max(dampers.count, 1))
     rows = np.split(np.arange(dampers.draws), np.arange(size, dampers.draws, size))
-    plain = plain_friction(np.median(dampers.slip, axis=0)) if dampers.count else no_dampers()
+    friction = plain_friction(np.median(dampers.slip, axis=0)) if dampers.count else no_dampers()
     references = {
         "bare": ("without dampers", building.bare(), no_dampers()),
-        "plain": ("with plain friction", building, plain),
+        "plain": ("with plain friction", building, friction),
     } | {name: (f"all at the {name} bound", building, bound) for name, bound in bounds.items()}
     # the longest work first, so that no process waits for another at the end
     kinds = [(f"part {k}", building, dampers.chosen(r)) for k, r in enumerate(rows, 1)]
     kinds += references.values()
     blocks = [
-        Block(f"ground motion {g}, {ground.name}, {name}", built, ground, some, tolerance)
-        for name, built, some in kinds
+        Block(f"ground motion {g}, {ground.name}, {name}", built, ground, group, tolerance)
+        for name, built, group in kinds
         for g, ground in enumerate(grounds, 1)
     ]
-    here, processes = Path(), min(Workplace(jobs).processes, len(blocks))
+    folder, processes = Path(), min(Workplace(jobs).processes, len(blocks))
     outcomes = (
-        (block.run(here, observe) for block in blocks)
+        (block.run(folder, observe) for block in blocks)
         if processes == 1
-        else run_jobs(blocks, here, Workplace(processes), observe)
+        else run_jobs(blocks, folder, Workplace(processes), observe)
     )
     responses = {}
     for outcome in outcomes:
         observe(Step(outcome.id, outcome.status))
         responses[outcome.id] = outcome.value
     ordered = iter(responses[block.id] for block in blocks)
-    each = [[next(ordered) for _ in grounds] for _ in kinds]
-    whole = combined(each[: len(rows)], dampers)
+    by_kind = [[next(ordered) for _ in grounds] for _ in kinds]
+    result = combined(by_kind[: len(rows)], dampers)
     single = {
         name: combined([row], row[0].dampers)
-        for name, row in zip(references, each[len(rows) :], strict=True)
+        for name, row in zip(references, by_kind[len(rows) :], strict=True)
     }
-    return replace(whole, references=single, tolerance=tolerance)
+    return replace(result, references=single, tolerance=tolerance)

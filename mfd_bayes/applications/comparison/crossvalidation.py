@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import replicate
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
 from mfd_bayes.evaluation.scores import score
-from mfd_bayes.jobs.job import Outcome, State, Step, Workplace
+from mfd_bayes.jobs.job import JobState, Outcome, Step, Workplace
 from mfd_bayes.jobs.local import run_jobs
-from mfd_bayes.population.bands import Forecast, Predictor, holds_whole
-from mfd_bayes.population.design import Setting, levels_of, setting_of, with_zeros
+from mfd_bayes.population.bands import PredictionOptions, Predictor, holds_whole
+from mfd_bayes.population.design import TestConditions, levels_of, setting_of, with_zeros
 from mfd_bayes.population.inference import infer_population
 from mfd_bayes.runs.folder import CROSSVALIDATION, MANIFEST, check_stored
 from mfd_bayes.runs.manifest import (
@@ -61,32 +61,32 @@ class Fold:
         """Files that it writes: its scores."""
         return (f"{FOLDER}/{self.file}",)
 
-    def needs(self, out: Path) -> tuple[str, ...]:
+    def needs(self, folder: Path) -> tuple[str, ...]:
         """Files of a finished run that `open_run` reads."""
-        stored = (out / "tests").glob("*/*.nc")
+        stored = (folder / "tests").glob("*/*.nc")
         records = [p for p in stored if p.name in ("posterior.nc", "record.nc")]
-        return MANIFEST, "priors.toml", *sorted(p.relative_to(out).as_posix() for p in records)
+        return MANIFEST, "priors.toml", *sorted(p.relative_to(folder).as_posix() for p in records)
 
-    def run(self, out: Path, observe: Callable[[Step], Any]) -> Outcome:
+    def run(self, folder: Path, observe: Callable[[Step], Any]) -> Outcome:
         """Predict the part, and store its scores."""
         began = time.perf_counter()
         observe(Step(self.id, "gathering the others"))
         try:
             # a model of its own is that of the campaign, which has just been calibrated
-            result = leave_out(open_run(out, trust=True), self, observe)
+            result = leave_out(open_run(folder, trust=True), self, observe)
         except StoreError:
             raise
         except MfdError as error:
-            observe(Step(self.id, State.FAILED, message=str(error)))
-            return Outcome(self.id, State.FAILED, time.perf_counter() - began, str(error))
+            observe(Step(self.id, JobState.FAILED, message=str(error)))
+            return Outcome(self.id, JobState.FAILED, time.perf_counter() - began, str(error))
         predictions = [asdict(prediction) for prediction in result]
-        write_json(out / FOLDER / self.file, {"key": asdict(self), "predictions": predictions})
-        observe(Step(self.id, State.DONE))
-        return Outcome(self.id, State.DONE, time.perf_counter() - began)
+        write_json(folder / FOLDER / self.file, {"key": asdict(self), "predictions": predictions})
+        observe(Step(self.id, JobState.DONE))
+        return Outcome(self.id, JobState.DONE, time.perf_counter() - began)
 
-    def stored(self, out: Path) -> bool:
+    def stored(self, folder: Path) -> bool:
         """Whether its scores are stored, for exactly this fold."""
-        path = out / FOLDER / self.file
+        path = folder / FOLDER / self.file
         key = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
         try:
             stored = check(_StoredPredictions, read_json(path), path)
@@ -96,76 +96,76 @@ class Fold:
         return stored.key == key and tests == self.left_out  # JSON has lists for tuples
 
 
-def fold_id(part: str) -> str:
+def fold_id(name: str) -> str:
     """Name of the job that predicts a part from all others."""
-    return f"without {part}"
+    return f"without {name}"
 
 
-def part_kind(by: str) -> PartKind:
+def part_kind(text: str) -> PartKind:
     """The kind of parts to leave out, by name, checked."""
     for kind in get_args(PartKind):
-        if kind == by:
+        if kind == text:
             return kind  # type: ignore[no-any-return]
-    raise CampaignError(f"--by must be one of {', '.join(get_args(PartKind))}, got {by!r}")
+    raise CampaignError(f"--by must be one of {', '.join(get_args(PartKind))}, got {text!r}")
 
 
 def parts_of(
-    settings: Mapping[str, Setting], by: PartKind, actuation_unit: str, where: Path
+    settings: Mapping[str, TestConditions], key: PartKind, actuation_unit: str, path: Path
 ) -> dict[str, tuple[str, ...]]:
     """Calibrated tests of each part, by the part's name, from the setting of each test by id.
 
-    Refuses fewer than two parts, and one with all the tests that have an actuation; `where` is the
+    Refuses fewer than two parts, and one with all the tests that have an actuation; `path` is the
     campaign or run that the message names.
     """
     settings = dict(zip(settings, with_zeros([*settings.values()]), strict=True))
     names = list(settings)
-    parts: dict[str, tuple[str, ...]] = {name: (name,) for name in names} if by == "test" else {}
-    if by == "level":
+    groups: dict[str, tuple[str, ...]] = {name: (name,) for name in names} if key == "test" else {}
+    if key == "level":
         for fold in levels_of(list(settings.values())):
             scale, unit = US.of_actuation(actuation_unit)
             level = scale * settings[names[fold[0]]].actuation
-            parts[f"{level:.4g} {unit}"] = tuple(names[j] for j in fold)
-    elif by == "session":
+            groups[f"{level:.4g} {unit}"] = tuple(names[j] for j in fold)
+    elif key == "session":
         sessions = dict.fromkeys(setting.session for setting in settings.values())
         if not any(sessions):
             raise CampaignError(
-                f"cross-validation by session needs sessions: no calibrated test of {where} has "
+                f"cross-validation by session needs sessions: no calibrated test of {path} has "
                 'one, such as session = "Monday" in its [[test]]'
             )
-        parts = {
+        groups = {
             f"session {session}" if session else "no session": tuple(
                 name for name in names if settings[name].session == session
             )
             for session in sessions
         }
-    if len(parts) < 2:
+    if len(groups) < 2:
         raise CampaignError(
-            f"cross-validation by {by} needs at least two {by}s; the calibrated tests of {where} "
+            f"cross-validation by {key} needs at least two {key}s; the calibrated tests of {path} "
             "make up only one"
         )
-    for part, tests in parts.items():
+    for label, tests in groups.items():
         if not any(settings[name].actuation > 0 for name in names if name not in tests):
             raise CampaignError(
-                f"cross-validation by {by} cannot leave out {part}: no other calibrated test of "
-                f"{where} has an actuation above zero"
+                f"cross-validation by {key} cannot leave out {label}: no other calibrated test of "
+                f"{path} has an actuation above zero"
             )
-    return parts
+    return groups
 
 
-def folds_of(run: Run, by: PartKind, effort: str) -> tuple[Fold, ...]:
+def folds_of(run: Run, kind: PartKind, effort: str) -> tuple[Fold, ...]:
     """A fold for every part of a run."""
     settings = {name: setting_of(test.trace, run.session(name)) for name, test in run.tests.items()}
-    parts = parts_of(settings, by, run.actuation_unit, run.folder)
+    groups = parts_of(settings, kind, run.actuation_unit, run.folder)
     digest = run.manifest.keys[CROSSVALIDATION]
     fold = partial(Fold, effort=effort, seed=run.manifest.seed, rests_on=digest)
     return tuple(
         fold(
-            part=part,
-            file=f"{by}_{number}.json",
+            part=label,
+            file=f"{kind}_{number}.json",
             left_out=tests,
             kept=tuple(name for name in run.tests if name not in tests),
         )
-        for number, (part, tests) in enumerate(parts.items(), start=1)
+        for number, (label, tests) in enumerate(groups.items(), start=1)
     )
 
 
@@ -173,9 +173,9 @@ def leave_out(
     run: Run, fold: Fold, observe: Callable[[Step], Any] = lambda _: None
 ) -> tuple[Prediction, ...]:
     """Predictions of the tests of one part, from all others."""
-    others = {name: run.tests[name] for name in fold.kept}
+    training = {name: run.tests[name] for name in fold.kept}
     inference = infer_population(
-        others,
+        training,
         run.priors,
         run.manifest.settings.inference(fold.effort, (fold.seed, 2)),
         lambda progress: observe(Step(fold.id, "sampling", progress)),
@@ -183,7 +183,7 @@ def leave_out(
 
     def pooled(name: str) -> dict[str, Array]:
         """Quantities of one of the other tests as pooled with them, by name, (n,) each."""
-        values = inference.values(list(others).index(name))
+        values = inference.values(list(training).index(name))
         return {quantity: draws.reshape(-1) for quantity, draws in values.items()}
 
     predictions = []
@@ -192,21 +192,21 @@ def leave_out(
         test = run.tests[name]
         posterior, force = test.posterior, np.asarray(test.trace.force)
         predictor = Predictor(inference.population, posterior.model, posterior.noise)
-        forecast = Forecast("observation", draws=DRAWS, seed=fold.seed, **run.place(name))
-        order = TestSequence(run.manifest, others, motions, predictor, pooled)
+        forecast = PredictionOptions("observation", draws=DRAWS, seed=fold.seed, **run.place(name))
+        order = TestSequence(run.manifest, training, motions, predictor, pooled)
         forecast = replace(forecast, before=order.before(name, test.trace, forecast))
         band = predictor.predict(test.trace, forecast)
         fitted = replicate(posterior, test.stored.values(), np.random.default_rng(0), DRAWS)
         scores = score(band.draws, force), score(fitted.observed, force)
-        whole = holds_whole(band.draws, force)
-        predictions.append(Prediction(fold.part, name, *scores, whole))
+        contained = holds_whole(band.draws, force)
+        predictions.append(Prediction(fold.part, name, *scores, contained))
     return tuple(predictions)
 
 
-def read_predictions(out: Path, folds: Sequence[Fold]) -> Iterator[Prediction]:
+def read_predictions(folder: Path, folds: Sequence[Fold]) -> Iterator[Prediction]:
     """Stored predictions of folds."""
     for fold in folds:
-        path = check_stored(out, f"{FOLDER}/{fold.file}", {})
+        path = check_stored(folder, f"{FOLDER}/{fold.file}", {})
         predictions = check(_StoredPredictions, read_json(path), path).predictions
         stored = tuple(prediction.test for prediction in predictions)
         if stored != fold.left_out:
@@ -223,16 +223,16 @@ def run_folds(
     run: Run, folds: Sequence[Fold], workplace: Workplace, observe: Callable[[Step], None]
 ) -> tuple[Prediction, ...]:
     """Predictions of every part, computed in parallel; stored ones are not computed again."""
-    out = run.folder
-    todo = [fold for fold in folds if not fold.stored(out)]
+    folder = run.folder
+    todo = [fold for fold in folds if not fold.stored(folder)]
     for fold in folds:
         if fold not in todo:
-            observe(Step(fold.id, State.KEPT))
-    with closing(run_jobs(todo, out, workplace, observe)) as outcomes:
+            observe(Step(fold.id, JobState.KEPT))
+    with closing(run_jobs(todo, folder, workplace, observe)) as outcomes:
         for outcome in outcomes:
             if outcome.error:
                 raise CampaignError(f"cannot predict {outcome.id}: {outcome.error}")
-    return tuple(read_predictions(out, folds))
+    return tuple(read_predictions(folder, folds))
 
 
 # --- the scores in a report

@@ -46,7 +46,7 @@ _DRAWS = 400  # for the median of the force
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ModelChoice:
     """A model and a noise to compare, None for the campaign's own, in a run folder `name`."""
 
     name: str
@@ -54,7 +54,7 @@ class Candidate:
     noise: str | None = None
 
 
-def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[Candidate, ...]:
+def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[ModelChoice, ...]:
     """Every model with every noise; without noises two or more models with the campaign's own."""
     files = [name for name in dict.fromkeys(names) if models.file_of(name)]
     # a model in a file has the folder of its class
@@ -66,23 +66,23 @@ def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[Candid
         )
     kinds = _chosen("--models", names, [*folders], 0 if noises else 2) or (None,)
     fewest = 1 if len(names) > 1 else 2
-    chosen = _chosen("--noises", noises, [*NOISES], fewest) if noises else (None,)
+    noise_names = _chosen("--noises", noises, [*NOISES], fewest) if noises else (None,)
     return tuple(
-        Candidate("_".join(filter(None, (folders[m] if m and len(kinds) > 1 else "", n))), m, n)
+        ModelChoice("_".join(filter(None, (folders[m] if m and len(kinds) > 1 else "", n))), m, n)
         for m in kinds
-        for n in chosen
+        for n in noise_names
     )
 
 
 def _chosen(
-    option: str, names: Sequence[str], allowed: Sequence[str], least: int
+    option: str, names: Sequence[str], allowed: Sequence[str], fewest: int
 ) -> tuple[str, ...]:
     """Names of an option, each once, in the order of those that are allowed."""
-    if not set(names) <= set(allowed) or len(set(names)) < max(len(names), least):
+    if not set(names) <= set(allowed) or len(set(names)) < max(len(names), fewest):
         got = ", ".join(map(repr, names)) or "nothing"
-        many = "two or more" if least > 1 else option.lstrip("-")
+        amount = "two or more" if fewest > 1 else option.lstrip("-")
         raise CampaignError(
-            f"{option} must name {many} of {', '.join(allowed)}, each once, got {got}"
+            f"{option} must name {amount} of {', '.join(allowed)}, each once, got {got}"
         )
     return tuple(name for name in allowed if name in names)
 
@@ -156,14 +156,14 @@ def comparison_of(
     return Comparison((*rows, *overall), " ".join(sentences))
 
 
-def _joined(parts: Sequence[Validation]) -> Validation:
+def _joined(validations: Sequence[Validation]) -> Validation:
     """Figures of a model over several tests."""
     return Validation(
-        cycles=pd.concat([part.cycles for part in parts], ignore_index=True),
-        squares=sum(part.squares for part in parts),
-        spread=sum(part.spread for part in parts),
-        short=tuple(name for part in parts for name in part.short),
-        evidence=join_evidence([part.evidence for part in parts]),
+        cycles=pd.concat([validation.cycles for validation in validations], ignore_index=True),
+        squares=sum(validation.squares for validation in validations),
+        spread=sum(validation.spread for validation in validations),
+        short=tuple(name for validation in validations for name in validation.short),
+        evidence=join_evidence([validation.evidence for validation in validations]),
     )
 
 
@@ -174,8 +174,8 @@ def validate(test: TestResult, effort: Effort) -> Validation:
     chains = stored.draws.sizes["chain"]
     cycles = cross_validate(posterior, values, chains, facts["walkers"], rng)
     pick = np.linspace(0, values["offset"].size - 1, _DRAWS).astype(np.intp)
-    taken = {name: column[pick] for name, column in values.items()}
-    force = posterior.force(taken) + taken["offset"][:, None]
+    sample = {name: column[pick] for name, column in values.items()}
+    force = posterior.force(sample) + sample["offset"][:, None]
     observed = np.asarray(test.trace.force)[posterior.first :]
     missed = observed - np.median(force, axis=0)[posterior.first :]
     figures = (facts["convergence"].get(name) or (None, 0, 0) for name in posterior.names)
@@ -198,7 +198,7 @@ def _rows(subject: str, scores: Mapping[str, Validation]) -> list[ComparisonRow]
     rows = []
     for model in order:
         score, cycles = scores[model], scores[model].cycles
-        less, error = difference(cycles, scores[order[0]].cycles)
+        elpd_diff, error = difference(cycles, scores[order[0]].cycles)
         rows.append(
             ComparisonRow(
                 subject=subject,
@@ -210,7 +210,7 @@ def _rows(subject: str, scores: Mapping[str, Validation]) -> list[ComparisonRow]
                 worst_k=float(cycles["psis_k"].max()),
                 bad=float(score.redone.mean()),
                 unsettled=float(1.0 - score.trusted.mean()),
-                difference=less,
+                difference=elpd_diff,
                 difference_se=error,
                 rrse=float(np.sqrt(score.squares / score.spread)),
                 log_evidence=score.evidence.value,
@@ -224,24 +224,24 @@ def _rows(subject: str, scores: Mapping[str, Validation]) -> list[ComparisonRow]
 
 def _favour(total: Mapping[str, Validation], best: str, second: str, tests: int) -> str:
     """Sentence on which of the best two models the records favour, if any."""
-    more, error = difference(total[best].cycles, total[second].cycles)
-    errors, count = more / error if error > 0 else np.inf, len(total[best].cycles)
-    where = f"{tests} tests of {count} cycles in all" if tests > 1 else f"{count} cycles of 1 test"
+    elpd_diff, error = difference(total[best].cycles, total[second].cycles)
+    errors, count = elpd_diff / error if error > 0 else np.inf, len(total[best].cycles)
+    extent = f"{tests} tests of {count} cycles in all" if tests > 1 else f"{count} cycles of 1 test"
     verb = f"favour {best} over" if errors >= CLEAR else f"cannot decide between {best} and"
-    few = (tests if tests > 1 else count) < FEW
+    rough = (tests if tests > 1 else count) < FEW
     return (
-        f"The records {verb} {second}: elpd higher by {more:.4g}, {errors:.1f} standard "
-        f"errors over {where}{' (a rough estimate of the error, from so few)' if few else ''}."
+        f"The records {verb} {second}: elpd higher by {elpd_diff:.4g}, {errors:.1f} standard "
+        f"errors over {extent}{' (a rough estimate of the error, from so few)' if rough else ''}."
     )
 
 
 def _evidence_sentence(evidence: Mapping[str, Evidence]) -> str:
     """Sentence on the two models of largest log evidence, and on what it depends on."""
     best, second = sorted(evidence, key=lambda model: -evidence[model].value)[:2]
-    more = evidence[best].value - evidence[second].value
+    gain = evidence[best].value - evidence[second].value
     error = float(np.hypot(evidence[best].error, evidence[second].error))
     text = (
-        f"Log evidence of {best} is higher than that of {second} by {more:.4g} ± {error:.2g}. It "
+        f"Log evidence of {best} is higher than that of {second} by {gain:.4g} ± {error:.2g}. It "
         "depends on the priors: a prior of one parameter that is twice as wide lowers it by up to "
         "0.7 in each test."
     )
@@ -274,10 +274,10 @@ def _trust(total: Mapping[str, Validation], best: str, second: str) -> str:
     return f"{text}The diagnostics of this comparison are good."
 
 
-def difference(cycles: pd.DataFrame, others: pd.DataFrame) -> tuple[float, float]:
+def difference(cycles: pd.DataFrame, reference: pd.DataFrame) -> tuple[float, float]:
     """Elpd of a model minus that of another, and its standard error, paired over cycles."""
-    more = cycles["elpd"] - others["elpd"]
-    return float(more.sum()), standard_error(more, cycles["test"])
+    elpd_diff = cycles["elpd"] - reference["elpd"]
+    return float(elpd_diff.sum()), standard_error(elpd_diff, cycles["test"])
 
 
 def standard_error(figures: Any, test: Any) -> float:
@@ -291,9 +291,9 @@ def standard_error(figures: Any, test: Any) -> float:
     figures = np.asarray(figures)
     if figures.size < 2:
         return float("nan")
-    alone = float(np.sqrt(figures.size * np.var(figures, ddof=1)))
+    independent = float(np.sqrt(figures.size * np.var(figures, ddof=1)))
     sums = pd.Series(figures - figures.mean()).groupby(np.asarray(test)).sum()
-    return max(alone, float(np.sqrt(sums.size / max(sums.size - 1, 1) * np.sum(sums**2))))
+    return max(independent, float(np.sqrt(sums.size / max(sums.size - 1, 1) * np.sum(sums**2))))
 
 
 # --- leave-one-cycle-out
@@ -312,32 +312,32 @@ def cross_validate(
     p(y)/p(y_-c) is computed from both evidences.
     """
     edges = find_cycles(posterior.trace, posterior.first)
-    given = cycle_log_likelihood(posterior, values, edges)[0]
+    log_lik = cycle_log_likelihood(posterior, values, edges)[0]
     scores = []
-    for column in given.T:
+    for column in log_lik.T:
         ess = measure_draws(column.reshape(chains, -1), walkers).ess_bulk[0]
         scores.append(psis_loo(column, float(np.clip(ess / column.size, 1e-3, 1.0))))
     elpd, lppd, psis_k = np.transpose(scores)
     k, failed = psis_k.copy(), np.flatnonzero(~(psis_k <= LARGEST_K)).tolist()
     if failed:
         draws = posterior.coordinates(values)
-        whole, whole_k = log_evidence(posterior.log_prob, draws, np.zeros(len(draws)), rng)
-    for at in failed:
+        full, full_k = log_evidence(posterior.log_prob, draws, np.zeros(len(draws)), rng)
+    for cycle in failed:
 
-        def without(q: Array, at: int = at) -> Array:
+        def without(q: Array, cycle: int = cycle) -> Array:
             """Log posterior density of q without the cycle, p(θ) p(y_-c | θ)."""
             log_density = posterior.log_prior(q)
-            inside = np.isfinite(log_density)
+            finite = np.isfinite(log_density)
             with np.errstate(over="ignore", invalid="ignore"):
                 of_cycles, of_all = cycle_log_likelihood(
-                    posterior, posterior.values(q[inside]), edges
+                    posterior, posterior.values(q[finite]), edges
                 )
-                log_density[inside] += of_all - of_cycles[:, at]
+                log_density[finite] += of_all - of_cycles[:, cycle]
             return np.where(np.isnan(log_density), -np.inf, log_density)
 
-        evidence, rest_k = log_evidence(without, draws, -given[:, at], rng)
-        if max(whole_k, rest_k) < k[at]:
-            elpd[at], k[at] = whole - evidence, max(whole_k, rest_k)
+        evidence, rest_k = log_evidence(without, draws, -log_lik[:, cycle], rng)
+        if max(full_k, rest_k) < k[cycle]:
+            elpd[cycle], k[cycle] = full - evidence, max(full_k, rest_k)
     return pd.DataFrame({"elpd": elpd, "lppd": lppd, "psis_k": psis_k, "k": k})
 
 

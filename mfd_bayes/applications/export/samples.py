@@ -17,7 +17,7 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import POPULATION, check_folder
 from mfd_bayes.runs.run import Run, open_run
-from mfd_bayes.runs.tested_range import Span, departures, far_sentences
+from mfd_bayes.runs.tested_range import Range, extrapolation_messages, extrapolations
 from mfd_bayes.store.files import read_json, remove_file, write_json, write_text
 
 Array = NDArray[np.float64]
@@ -38,14 +38,14 @@ def export(options: ExportOptions) -> tuple[list[str], list[str]]:
         if not actuated:
             raise CampaignError("--actuation: the campaign's tests have none; leave it out")
         level = run.level_of(options.actuation)
-    reach = [Span("actuation", run.actuation_unit, level, level)] if actuated else []
-    outside = departures(run.tested, reach)
-    far = far_sentences(outside, run.system)
+    reach = [Range("actuation", run.actuation_unit, level, level)] if actuated else []
+    exceedances = extrapolations(run.tested, reach)
+    far = extrapolation_messages(exceedances, run.system)
     if far and not options.extrapolate:
         raise CampaignError(f"{far}; give --extrapolate to export it all the same")
-    remarks = [departure.sentence(run.system) for departure in outside]
+    remarks = [extrapolation.sentence(run.system) for extrapolation in exceedances]
     units, samples = _samples(run, level, options)
-    about: dict[str, object] = {
+    facts: dict[str, object] = {
         "made_by": _MADE_BY,
         **({"actuation": {"value": level, "unit": run.actuation_unit}} if actuated else {}),
         "variables": units,
@@ -54,14 +54,14 @@ def export(options: ExportOptions) -> tuple[list[str], list[str]]:
         "kind": "new_test",
         "population_sha256": (run.manifest.files or {}).get(POPULATION),
     } | ({"remarks": remarks} if remarks else {})
-    about = _without_others(folder, about)
+    facts = _without_others(folder, facts)
     if options.to == "csv":
         sentences = _write_csv(folder, units, samples)
     elif options.to == "quofem":
         sentences = _write_quofem(folder, list(units), samples)
     else:
-        sentences = _write_opensees(folder, run, samples[:FITS], about)
-    write_json(folder / ABOUT, about)
+        sentences = _write_opensees(folder, run, samples[:FITS], facts)
+    write_json(folder / ABOUT, facts)
     return sentences, remarks
 
 
@@ -70,14 +70,14 @@ def _samples(run: Run, level: float, options: ExportOptions) -> tuple[dict[str, 
     model = next(iter(run.tests.values())).posterior.model
     device = level, run.actuation_unit, options.draws, options.seed
     theta, start = draw_device(run.population, model, *device)
-    known = {q.name: q.unit for q in model.quantities}
-    units = {name: known.get(name, "1") for name in model.parameters}
+    unit_of = {q.name: q.unit for q in model.quantities}
+    units = {name: unit_of.get(name, "1") for name in model.parameters}
     if not model.has_gap:
         return units, theta
     return units | {"start": "1"}, np.column_stack([theta, start])
 
 
-def _without_others(folder: Path, about: dict[str, object]) -> dict[str, object]:
+def _without_others(folder: Path, facts: dict[str, object]) -> dict[str, object]:
     """What is said about the samples, of all their forms in the folder.
 
     Where an earlier export is of other samples, its files are removed: nothing would say what they
@@ -86,12 +86,12 @@ def _without_others(folder: Path, about: dict[str, object]) -> dict[str, object]
     try:
         earlier = read_json(folder / ABOUT)
     except StoreError:  # there is none
-        return about
+        return facts
     if earlier.get("made_by") != _MADE_BY:
-        return about
-    if all(earlier.get(key) == value for key, value in about.items()):
+        return facts
+    if all(earlier.get(key) == value for key, value in facts.items()):
         of_fits = ("misfit", "best", "amplitude_in")
-        return about | {key: earlier[key] for key in of_fits if key in earlier}
+        return facts | {key: earlier[key] for key in of_fits if key in earlier}
     names = ["samples.csv", "randomVariables.json", "dakotaTab.out"]
     for key, kind in (("variables", "txt"), ("misfit", "tcl")):
         words = earlier.get(key)
@@ -99,7 +99,7 @@ def _without_others(folder: Path, about: dict[str, object]) -> dict[str, object]
             names += [f"{word}.{kind}" for word in words if re.fullmatch(r"\w+", word)]
     for name in names:
         remove_file(folder / name)
-    return about
+    return facts
 
 
 def _write_csv(folder: Path, units: dict[str, str], samples: Array) -> list[str]:
@@ -137,8 +137,8 @@ def _write_quofem(folder: Path, names: list[str], samples: Array) -> list[str]:
     ]
 
 
-def _write_opensees(folder: Path, run: Run, samples: Array, about: dict[str, object]) -> list[str]:
-    """Materials fitted to each draw's loops; their misfits are added to `about`."""
+def _write_opensees(folder: Path, run: Run, samples: Array, facts: dict[str, object]) -> list[str]:
+    """Materials fitted to each draw's loops; their misfits are added to `facts`."""
     model = next(iter(run.tests.values())).posterior.model
     stroke = max((s.highest for s in run.tested if s.name == "stroke"), default=2.0)
     theta, start = samples[:, : len(model.parameters)], samples[:, -1]
@@ -154,9 +154,9 @@ def _write_opensees(folder: Path, run: Run, samples: Array, about: dict[str, obj
             f"{folder / (name + '.tcl')}"
         )
     best = min(fits, key=lambda name: float(np.median(fits[name][1])))
-    about["misfit"] = {name: misfit.tolist() for name, (_, misfit) in fits.items()}
-    about["best"] = best
-    about["amplitude_in"] = 0.5 * stroke
+    facts["misfit"] = {name: misfit.tolist() for name, (_, misfit) in fits.items()}
+    facts["best"] = best
+    facts["amplitude_in"] = 0.5 * stroke
     return [
         *sentences,
         f"the best of them: {best}; a gap and its retracing cannot be modelled by one material",
@@ -188,12 +188,12 @@ def equivalents(
     materials = {}
     for name, fit in (("BoucWen", _bouc_wen), ("ElasticPP", _elastic_plastic)):
         commands, misfit = [], []
-        for tag, own in enumerate(force, start=1):
-            slip = float(np.quantile(np.abs(own), 0.8))
+        for tag, target in enumerate(force, start=1):
+            slip = float(np.quantile(np.abs(target), 0.8))
             stiffness = slip / (0.1 * float(np.ptp(x)))
-            command, fitted = fit(tag, trace, own, np.log([stiffness, slip]))
+            command, fitted = fit(tag, trace, target, np.log([stiffness, slip]))
             commands.append(command)
-            misfit.append(np.sqrt(np.mean((fitted - own) ** 2) / np.mean(own**2)))
+            misfit.append(np.sqrt(np.mean((fitted - target) ** 2) / np.mean(target**2)))
         materials[name] = commands, np.array(misfit)
     return materials
 
@@ -212,12 +212,12 @@ def _bouc_wen(tag: int, trace: Trace, force: Array, begin: Array) -> tuple[str, 
         return np.asarray(model.force(row, trace)[0])
 
     bounds = ([-20, -20, -6, 0.0, 0.0], [20, 20, 2.5, 0.9, 1.0])
-    first = np.array([*begin, 0.0, 0.01, 0.2])
+    initial = np.array([*begin, 0.0, 0.01, 0.2])
 
     def off(q: Array) -> Array:
         return np.asarray(fitted(q) - force)
 
-    q = least_squares(off, first, bounds=bounds, max_nfev=40).x
+    q = least_squares(off, initial, bounds=bounds, max_nfev=40).x
     k, alpha, slip, beta, power = unpacked(q)
     scale = (k / slip) ** power  # our z is a force, in slip forces; theirs is a displacement
     line = (
@@ -232,12 +232,12 @@ def _elastic_plastic(tag: int, trace: Trace, force: Array, begin: Array) -> tupl
 
     def fitted(q: Array) -> Array:
         k, slip = np.exp(q)
-        spring, found, before = 0.0, [], 0.0
+        spring, forces, previous = 0.0, [], 0.0
         for x in trace.displacement.tolist():
-            spring = min(max(spring + k * (x - before), -slip), slip)
-            before = x
-            found.append(spring)
-        return np.array(found)
+            spring = min(max(spring + k * (x - previous), -slip), slip)
+            previous = x
+            forces.append(spring)
+        return np.array(forces)
 
     def off(q: Array) -> Array:
         return np.asarray(fitted(q) - force)

@@ -78,8 +78,8 @@ def serve(options: ServeOptions) -> None:
     if len(models) > 1:
         say(f'config {{"test": ID}} chooses one of {", ".join(models)}; by default the first')
     for name, served in next(iter(models.values())).items():
-        shown = [*served.outputs[:20], "..."] if len(served.outputs) > 20 else served.outputs
-        say(f"{name}: {', '.join(served.inputs)} -> {', '.join(shown)}")
+        names = [*served.outputs[:20], "..."] if len(served.outputs) > 20 else served.outputs
+        say(f"{name}: {', '.join(served.inputs)} -> {', '.join(names)}")
     with server:
         server.serve_forever()
 
@@ -90,8 +90,8 @@ def _served(posterior: Posterior) -> dict[str, Served]:
     coordinates = tuple(f"q({name})" for name in names)
 
     def values(q: Array) -> Array:
-        every = posterior.values(q[None])
-        return np.array([every[name][0] for name in names])
+        all_values = posterior.values(q[None])
+        return np.array([all_values[name][0] for name in names])
 
     return {
         "posterior": Served(coordinates, ("log density",), lambda q: posterior.log_prob(q[None])),
@@ -108,8 +108,8 @@ def _forward(model: Model, trace: Trace) -> Served:
 
 
 def _with_units(model: Model, names: Sequence[str]) -> tuple[str, ...]:
-    known = units(model)
-    return tuple(f"{name} [{known.get(name, '1')}]" for name in names)
+    unit_of = units(model)
+    return tuple(f"{name} [{unit_of.get(name, '1')}]" for name in names)
 
 
 def _trace(motion: Path | None, sine: str, actuation: str) -> Trace:
@@ -188,8 +188,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _result(self, content: Any) -> dict[str, Any]:
         """Answer to the content of a request; ValueError where it has none."""
-        asked = content if isinstance(content, dict) else {}
-        name, config = asked.get("name"), asked.get("config") or {}
+        request = content if isinstance(content, dict) else {}
+        name, config = request.get("name"), request.get("config") or {}
         if not isinstance(name, str) or not isinstance(config, dict):
             raise ValueError('expected {"name": NAME, "config": {…}, …}')
         test = config.get("test", next(iter(self._models)))

@@ -17,7 +17,7 @@ from mfd_bayes.reporting.symbols import (
     DATA,
 )
 from mfd_bayes.reporting.tables import to_csv
-from mfd_bayes.runs.unit_system import System
+from mfd_bayes.runs.unit_system import UnitSystem
 
 LITTLE = 0.01
 """A test that is expected to narrow the band by less than this share is not worth the frame."""
@@ -43,18 +43,18 @@ class AdviceInWords:
     """Advice on the next test for a reader; `unit` is the internal one of the actuation."""
 
     advice: Advice
-    system: System
+    system: UnitSystem
     unit: str
 
     def candidate(self, candidate: Candidate) -> str:
         """A test in words: "1350 psi, 0.5 Hz, 1 in", with its waveform where it is no sine."""
-        axes, parts = self.system.axes, [self.system.words([candidate.amplitude], "in", 3)]
+        axes, fields = self.system.axes, [self.system.words([candidate.amplitude], "in", 3)]
         if axes.timed:
-            parts.insert(0, f"{candidate.frequency:.3g} Hz")
+            fields.insert(0, f"{candidate.frequency:.3g} Hz")
         if axes.actuated:
-            parts.insert(0, self.system.words([candidate.actuation], self.unit, actuation=True))
-        parts += [f"on {candidate.device}"] if candidate.device else []
-        text = ", ".join(parts)
+            fields.insert(0, self.system.words([candidate.actuation], self.unit, actuation=True))
+        fields += [f"on {candidate.device}"] if candidate.device else []
+        text = ", ".join(fields)
         return text if candidate.waveform == "sine" else f"{text}, {candidate.waveform}"
 
     @property
@@ -63,19 +63,19 @@ class AdviceInWords:
         goal = self.advice.goal
         if goal.quantity == "band":
             scatter = ", with test-to-test scatter," if goal.kind == "new_test" else ""
-            what = f"the {100 * goal.probability:.3g} % band{scatter}"
+            text = f"the {100 * goal.probability:.3g} % band{scatter}"
         else:
             words = self.system.text(goal.words)
-            what = f"the {100 * goal.probability:.3g} % interval of the {words}"
+            text = f"the {100 * goal.probability:.3g} % interval of the {words}"
         if goal.quantity not in AT_MOTIONS or (goal.quantity == GAP):
-            return what
+            return text
         if not goal.at:
-            return f"{what} over the campaign's range"
+            return f"{text} over the campaign's range"
         places = goal.places(typical_of(self.advice.tests))
-        names = list(dict.fromkeys(self.candidate(place) for place in places))
+        names = list(dict.fromkeys(self.candidate(test) for test in places))
         if len(names) <= FEW:
-            return f"{what} at {' and '.join(names)}"
-        return f"{what} at {len(names)} places from {names[0]} to {names[-1]}"
+            return f"{text} at {' and '.join(names)}"
+        return f"{text} at {len(names)} places from {names[0]} to {names[-1]}"
 
     @property
     def sentence(self) -> str:
@@ -93,16 +93,16 @@ class AdviceInWords:
         text = f"One test at {test} is expected to narrow {goal} by {in_percent(best)}"
         again = next((row for row in self.advice if row.repeat), None)
         if again is not None and again is not best:
-            old = self.candidate(again.candidate)
-            text += f"; repeating {old} by {in_percent(again)}"
+            repeat = self.candidate(again.candidate)
+            text += f"; repeating {repeat} by {in_percent(again)}"
         elif again is best:
             text += "; that repeats a test that was made"
         enough, steps = "", [t.reduction for t in self.advice.together]
         if len(steps) > TOGETHER:
-            after = max(100 * (steps[TOGETHER] - steps[TOGETHER - 1]), 0.5)
+            gain = max(100 * (steps[TOGETHER] - steps[TOGETHER - 1]), 0.5)
             enough = (
                 f"After {_COUNT[TOGETHER]} more tests no further test on this list gains more than "
-                f"{after:.2g} % of today's width."
+                f"{gain:.2g} % of today's width."
             )
         return f"{text}. {enough}{scatter}"
 
@@ -118,14 +118,14 @@ class AdviceInWords:
 
     def rows(self) -> list[dict[str, str | float]]:
         """Rows of the table, the best first, and then what the limits rule out; by column."""
-        axes, (by, name) = self.system.axes, self.system.of_actuation(self.unit)
+        axes, (factor, name) = self.system.axes, self.system.of_actuation(self.unit)
         entries: list[tuple[Candidate, AdviceRow | None, str]] = [
             (r.candidate, r, "") for r in self.advice
         ]
-        entries += [(candidate, None, why) for candidate, why in self.advice.ruled_out]
+        entries += [(candidate, None, reason) for candidate, reason in self.advice.ruled_out]
         devices = any(candidate.device for candidate, _, _ in entries)
         rows = []
-        for candidate, score, why in entries:
+        for candidate, score, reason in entries:
             row: dict[str, str | float] = {
                 "candidate": self.candidate(candidate),
                 "expected_reduction": score.reduction if score else math.nan,
@@ -136,7 +136,7 @@ class AdviceInWords:
                 "information_error": score.information_error if score else math.nan,
             }
             if axes.actuated:
-                row[f"actuation_{name}"] = candidate.actuation * by
+                row[f"actuation_{name}"] = candidate.actuation * factor
             if axes.timed:
                 row["frequency_Hz"] = candidate.frequency
             amplitude = candidate.amplitude * self.system.factor("in")
@@ -145,7 +145,7 @@ class AdviceInWords:
                 "cycles": candidate.cycles,
                 "waveform": candidate.waveform,
                 "repeats_a_test": "" if score is None else "yes" if score.repeat else "no",
-                "ruled_out_by": why,
+                "ruled_out_by": reason,
             }
             rows.append(row | {"device": candidate.device} if devices else row)
         return rows
@@ -182,12 +182,12 @@ class AdviceInWords:
         figure = draw_next(self.advice, self.system, self.unit, "Which test next")
         return Addition("next", self, figure, next_csv(self))
 
-    def shown(self, most: int) -> list[tuple[str, ...]]:
+    def shown(self, count: int) -> list[tuple[str, ...]]:
         """Cells of the first rows, and of the best repeat, as a terminal shows them."""
-        chosen = list(self.advice[:most])
+        rows = list(self.advice[:count])
         again = next((row for row in self.advice if row.repeat), None)
-        if again is not None and again not in chosen:
-            chosen.append(again)
+        if again is not None and again not in rows:
+            rows.append(again)
         return [
             (
                 self.candidate(row.candidate),
@@ -197,7 +197,7 @@ class AdviceInWords:
                 f"{row.information:.3f} ± {row.information_error:.3f}",
                 "yes" if row.repeat else "",
             )
-            for row in chosen
+            for row in rows
         ]
 
 
@@ -209,40 +209,42 @@ def next_csv(advice: AdviceInWords) -> str:
 
 
 @style()
-def draw_next(advice: Advice, system: System, unit: str, title: str) -> Any:
+def draw_next(advice: Advice, system: UnitSystem, unit: str, title: str) -> Any:
     """Candidates by actuation and frequency, coloured by gain, and the curve of the width."""
     from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
     figure = new_figure(8.6, 3.6)
     figure.suptitle(title, x=0.01, ha="left", wrap=True, fontsize=9)
-    left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
-    by, name = system.of_actuation(unit)
+    map_axes, curve_axes = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
+    factor, name = system.of_actuation(unit)
     gains: dict[tuple[float, float], float] = {}  # of the best amplitude
     for row in reversed([*advice]):
-        gains[row.candidate.actuation * by, row.candidate.frequency] = 100.0 * row.reduction
+        gains[row.candidate.actuation * factor, row.candidate.frequency] = 100.0 * row.reduction
     shades: dict[str, Any] = {"cmap": "YlGnBu", "vmin": 0.0, "edgecolors": "#888888"}
-    shown = left.scatter(*zip(*gains, strict=True), s=130, c=[*gains.values()], lw=0.5, **shades)
-    first = advice[0].candidate
+    points = map_axes.scatter(
+        *zip(*gains, strict=True), s=130, c=[*gains.values()], lw=0.5, **shades
+    )
+    best = advice[0].candidate
     ring: dict[str, Any] = {"mfc": "none", "mec": DATA, "mew": 1.6, "ms": 15}
-    left.plot(first.actuation * by, first.frequency, "o", label="best", **ring)
-    levels = [test.actuation * by for test in advice.tests]
+    map_axes.plot(best.actuation * factor, best.frequency, "o", label="best", **ring)
+    levels = [test.actuation * factor for test in advice.tests]
     frequencies = [test.frequency for test in advice.tests]
-    left.plot(levels, frequencies, "x", color="#c0392b", ms=5, label="tests made")
-    left.set_yscale("log")
-    left.yaxis.set_major_formatter(ScalarFormatter())
-    left.yaxis.set_minor_formatter(ScalarFormatter())
-    left.set(xlabel=f"actuation, {name}", ylabel="frequency, Hz")
-    left.set_title("Expected reduction, best amplitude")
-    left.margins(0.12)
-    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
-    figure.colorbar(shown, ax=left, label="%")
+    map_axes.plot(levels, frequencies, "x", color="#c0392b", ms=5, label="tests made")
+    map_axes.set_yscale("log")
+    map_axes.yaxis.set_major_formatter(ScalarFormatter())
+    map_axes.yaxis.set_minor_formatter(ScalarFormatter())
+    map_axes.set(xlabel=f"actuation, {name}", ylabel="frequency, Hz")
+    map_axes.set_title("Expected reduction, best amplitude")
+    map_axes.margins(0.12)
+    map_axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
+    figure.colorbar(points, ax=map_axes, label="%")
     curve = advice.curve * system.factor(advice.unit)
     arms = curve[0] * np.array([0.0, *(1.96 * t.error for t in advice.together)])
     steps = np.arange(curve.size)
-    right.errorbar(steps, curve, arms, fmt="o-", color=DATA, markersize=4, capsize=2)
-    right.set_ylim(0.0, 1.1 * float(np.max(curve + arms)))
-    right.xaxis.set_major_locator(MaxNLocator(integer=True))
-    right.set_xlabel("further tests, the best together")
-    right.set_ylabel(f"expected width, {system.unit(advice.unit)}")
-    right.set_title("When it is enough")
+    curve_axes.errorbar(steps, curve, arms, fmt="o-", color=DATA, markersize=4, capsize=2)
+    curve_axes.set_ylim(0.0, 1.1 * float(np.max(curve + arms)))
+    curve_axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    curve_axes.set_xlabel("further tests, the best together")
+    curve_axes.set_ylabel(f"expected width, {system.unit(advice.unit)}")
+    curve_axes.set_title("When it is enough")
     return figure

@@ -113,8 +113,8 @@ def _write_advice(words: AdviceInWords, files: list[Path]) -> None:
 
 def _drafted(advice: AdviceInWords, number: int) -> str:
     """Entries of a campaign file for the best tests."""
-    chosen = advice.advice.together
-    together = chosen[min(number, len(chosen)) - 1]
+    sets = advice.advice.together
+    together = sets[min(number, len(sets)) - 1]
     tests = (advice.advice[0].candidate,) if number == 1 else together.candidates
     lines = ["# Drafted by mfd-bayes next: add these to campaign.toml once the tests are made."]
     for k, test in enumerate(tests, 1):

@@ -32,7 +32,7 @@ from mfd_bayes.runs.folder import (
 )
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.tested_range import (
-    departures,
+    extrapolations,
 )
 
 Candidates = str | Candidate | Iterable[str | Candidate]
@@ -67,41 +67,41 @@ def next_test(
     """
     settings = _goal_settings(run, goal, candidates, limits)
     axes, design = run.system.axes, run.population.design
-    shown = Shown(
+    display = Shown(
         run.system.factor(run.actuation_unit),
         run.system.factor("in"),
         actuated=axes.actuated,
         timed=axes.timed,
     )
     # an actuation that is next to nothing is zero in the population
-    done = tuple(
-        replace(harmonic_of(test.trace, shown), actuation=setting.actuation)
+    past_tests = tuple(
+        replace(harmonic_of(test.trace, display), actuation=setting.actuation)
         for test, setting in zip(run.tests.values(), design.settings, strict=True)
     )
     check_session(settings.goal.session, design.sessions)
-    typical = [test for test in typical_of(done) if test.actuation > 0.0]
+    typical = [test for test in typical_of(past_tests) if test.actuation > 0.0]
     # without an actuation of its own a test is one at each of the campaign's range
     tests = [
-        parts.completed(level)
-        for parts in settings.candidates
-        for level in (typical if parts.actuation is None else typical[:1])
+        entry.completed(level)
+        for entry in settings.candidates
+        for level in (typical if entry.actuation is None else typical[:1])
     ]
     if len(tests) > MOST:
         raise CampaignError(f"more than {MOST} tests, the most of one question")
-    tests = tests or grid_of(done, shown)
+    tests = tests or grid_of(past_tests, display)
     if run.population.several_devices:  # the one that was tested last, or one more
-        among = NEW_DEVICE, design.settings[-1].device
-        tests = [replace(c, device=d) for c in tests for d in ([c.device] if c.device else among)]
+        devices = NEW_DEVICE, design.settings[-1].device
+        tests = [replace(c, device=d) for c in tests for d in ([c.device] if c.device else devices)]
     question = settings.goal, tests, settings.limits
-    advice = advise(run.predictor, done, *question, draws=draws, seed=seed)
+    advice = advise(run.predictor, past_tests, *question, draws=draws, seed=seed)
     if not settings.candidates:
         return advice
     reached = []
     for span in run.tested:
         values = [getattr(row.candidate, span.name) for row in advice]
         reached.append(replace(span, lowest=min(values), highest=max(values)))
-    outside = departures(run.tested, reached)
-    return replace(advice, remarks=tuple(d.sentence(run.system) for d in outside))
+    exceedances = extrapolations(run.tested, reached)
+    return replace(advice, remarks=tuple(d.sentence(run.system) for d in exceedances))
 
 
 def _goal_settings(
@@ -111,9 +111,9 @@ def _goal_settings(
     unit = run.actuation_unit
     table, laws = run.manifest.settings.goal, tuple(run.model.laws)
     stored = (*laws, table.of) if table else laws
-    own = goal_settings(table, unit, run.folder / CAMPAIGN, stored)
+    defaults = goal_settings(table, unit, run.folder / CAMPAIGN, stored)
     if isinstance(goal, str):
-        goal = replace(parse_goal(goal, unit, of="goal", laws=laws), session=own.goal.session)
+        goal = replace(parse_goal(goal, unit, of="goal", laws=laws), session=defaults.goal.session)
     elif isinstance(goal, Goal):
         check_goal(goal, of="goal", laws=laws)
     elif goal is not None:
@@ -125,7 +125,7 @@ def _goal_settings(
             f"limits must be text such as '10 in/s, 6 in, 20 kip', or Limits, got {limits!r}"
         )
     if candidates is None:
-        return GoalSettings(goal or own.goal, own.candidates, limits or own.limits)
+        return GoalSettings(goal or defaults.goal, defaults.candidates, limits or defaults.limits)
     several = [candidates] if isinstance(candidates, str | Candidate) else candidates
     tests: list[Parts] = []
     for test in several if isinstance(several, Iterable) else [several]:
@@ -138,4 +138,4 @@ def _goal_settings(
                 f"candidates must be tests in words or Candidates, one or several, got {test!r}"
             )
     tests = tests or parse_tests("", unit, of="candidates")
-    return GoalSettings(goal or own.goal, tests, limits or own.limits)
+    return GoalSettings(goal or defaults.goal, tests, limits or defaults.limits)

@@ -18,9 +18,9 @@ from scipy import special
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.campaign.candidate import GAP, OF_LAWS, Candidate, Goal, Limits, repeats, typical_of
 from mfd_bayes.errors import MOST_DRAWS, CampaignError, FitError, NotThereError, whole_number
-from mfd_bayes.population.bands import Drawn, Predictor
-from mfd_bayes.population.design import Setting, setting_of
-from mfd_bayes.population.population import Numbers, slip_force_of
+from mfd_bayes.population.bands import PredictiveDraws, Predictor
+from mfd_bayes.population.design import TestConditions, setting_of
+from mfd_bayes.population.population import Latents, slip_force_of
 from mfd_bayes.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -72,22 +72,22 @@ class Loop:
         stroke, amplitude = candidate.stroke, candidate.amplitude
         dense = min(REACH * gap, 0.5 * stroke)
         # closer towards the end, where a sine is slow
-        rest = np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, LOOSE + 1))[1:]
+        spacing = np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, LOOSE + 1))[1:]
         build = np.linspace(0.0, dense, DENSE + 1)
-        travel = np.concatenate([build, dense + (stroke - dense) * rest])
-        time, place, speed, clock = [], [], [], 0.0
-        for along, way in ((travel, 1.0), (travel[1:], -1.0), (travel[1:], 1.0)):
+        travel = np.concatenate([build, dense + (stroke - dense) * spacing])
+        time, position, speed, clock = [], [], [], 0.0
+        for distance, way in ((travel, 1.0), (travel[1:], -1.0), (travel[1:], 1.0)):
             if candidate.waveform == "triangle":
-                since, fast = along / candidate.speed, np.full(along.size, candidate.speed)
+                elapsed, fast = distance / candidate.speed, np.full(distance.size, candidate.speed)
             else:
-                angle = np.arccos(np.clip(1.0 - along / amplitude, -1.0, 1.0))
-                since = angle / (2.0 * np.pi * candidate.frequency)
+                angle = np.arccos(np.clip(1.0 - distance / amplitude, -1.0, 1.0))
+                elapsed = angle / (2.0 * np.pi * candidate.frequency)
                 fast = candidate.speed * np.sin(angle)
-            time.append(clock + since)
-            place.append(way * (along - amplitude))
+            time.append(clock + elapsed)
+            position.append(way * (distance - amplitude))
             speed.append(way * fast)
-            clock += since[-1]
-        times, places, speeds = (np.concatenate(column) for column in (time, place, speed))
+            clock += elapsed[-1]
+        times, places, speeds = (np.concatenate(column) for column in (time, position, speed))
         trace = Trace.from_arrays(times, places, candidate.actuation, velocity=speeds)
         return cls(trace, travel.size - 1)
 
@@ -103,24 +103,24 @@ class Loop:
 
 
 @dataclass(frozen=True, eq=False)
-class Devices:
+class SimulatedDevices:
     """Draws of a device: laws, effects and discrepancy are the same for all that is asked of it."""
 
     predictor: Predictor
     index: NDArray[np.intp]  # (n,) int: draws of the population
     grid: Array  # (G,): actuations that will be asked for, ksi or kip
     # of the effects of each session; of a motion outside those of the tests, under ""
-    numbers: Mapping[str, Numbers]
+    numbers: Mapping[str, Latents]
     knots: Array  # (n, K), kip: discrepancy
 
     @classmethod
     def draw(
         cls,
         predictor: Predictor,
-        settings: Sequence[Setting],
+        settings: Sequence[TestConditions],
         draws: int,
         rng: np.random.Generator,
-    ) -> Devices:
+    ) -> SimulatedDevices:
         """Devices for all settings that will be asked for.
 
         No draw of the population is taken twice, so there may be fewer than asked for.
@@ -134,9 +134,14 @@ class Devices:
         knots = population.residual.draw_knots(rng, count)
         return cls(predictor, index, grid, numbers, knots)
 
-    def drawn(
-        self, trace: Trace, setting: Setting, rng: np.random.Generator, *, scattered: bool = False
-    ) -> Drawn:
+    def sample_conditional(
+        self,
+        trace: Trace,
+        setting: TestConditions,
+        rng: np.random.Generator,
+        *,
+        scattered: bool = False,
+    ) -> PredictiveDraws:
         """Ingredients of the force under a motion, without noise."""
         numbers = self.predictor.population.draw_numbers(self.index.size, 0, rng)
         numbers = numbers._replace(
@@ -144,16 +149,16 @@ class Devices:
             session=self.numbers[setting.session].session,
             extrapolation=self.numbers[""].extrapolation,
         )
-        drawn = self.predictor.drawn(
+        sample = self.predictor.sample_conditional(
             trace, setting, self.index, numbers, self.grid, scatter=scattered
         )
-        return replace(drawn, knots=self.knots)
+        return replace(sample, knots=self.knots)
 
     def damper(self, loop: Loop, session: str, *, scattered: bool, seed: Sequence[int]) -> Array:
         """The damper's force along a loop, (n, T), kip: without offset and noise."""
         setting, rng = setting_of(loop.trace, session), np.random.default_rng(seed)
-        drawn = self.drawn(loop.trace, setting, rng, scattered=scattered)
-        return self.predictor.force(loop.trace, drawn)
+        sample = self.sample_conditional(loop.trace, setting, rng, scattered=scattered)
+        return self.predictor.force(loop.trace, sample)
 
     def measured(
         self, loop: Loop, session: str, device: str, cycles: float, seed: Sequence[int]
@@ -161,15 +166,15 @@ class Devices:
         """The mean loop of a test's record, with its scatter, offset and noise, (n, T), kip."""
         rng, residual = np.random.default_rng(seed), self.predictor.population.residual
         setting = setting_of(loop.trace, session, device)
-        drawn = self.drawn(loop.trace, setting, rng, scattered=True)
-        sd = self.predictor.values(drawn)["noise_sd"]
+        sample = self.sample_conditional(loop.trace, setting, rng, scattered=True)
+        sd = self.predictor.values(sample)["noise_sd"]
         # variance of the mean of the noise over the time that a sample stands for, over its
         # variance, where its correlation falls by exp(-dt/τ)
         r = np.maximum(np.gradient(loop.trace.time) / residual.noise_time, 1e-6)
         averaged = np.minimum(2.0 * (r + np.expm1(-r)) / r**2, 1.0)
-        rest, level = np.sqrt(averaged / cycles), float(np.sqrt(1.0 / cycles))
-        noise = residual.draw_noise(rng, loop.trace, sd, rest, level)
-        return self.predictor.total(loop.trace, replace(drawn, noise=noise))
+        factors, level = np.sqrt(averaged / cycles), float(np.sqrt(1.0 / cycles))
+        noise = residual.draw_noise(rng, loop.trace, sd, factors, level)
+        return self.predictor.total(loop.trace, replace(sample, noise=noise))
 
 
 # --- what tests tell of goals ---------------------------------------------------------------------
@@ -225,8 +230,8 @@ def directions_of(summaries: Array) -> Array:
     ranks = rankdata(summaries[:, varies], axis=0)
     scores = special.ndtri((ranks - 0.5) / len(summaries))
     scores -= scores.mean(axis=0)
-    left, sizes, _ = np.linalg.svd(scores, full_matrices=False)
-    return np.asarray(left[:, sizes**2 > SAME * np.sum(sizes**2)] * np.sqrt(len(summaries)))
+    u, sizes, _ = np.linalg.svd(scores, full_matrices=False)
+    return np.asarray(u[:, sizes**2 > SAME * np.sum(sizes**2)] * np.sqrt(len(summaries)))
 
 
 def fit_left_out(goals: Array, directions: Array) -> Array:
@@ -243,43 +248,46 @@ def fit_left_out(goals: Array, directions: Array) -> Array:
     n = len(goals)
     centred = goals - goals.mean(axis=0)
     scale = np.maximum(np.mean(centred**2, axis=0), 1e-300)
-    tried = [centred * (n / (n - 1.0))]
-    left, sizes, _ = np.linalg.svd(directions, full_matrices=False)
-    told = left.T @ centred
+    residuals = [centred * (n / (n - 1.0))]
+    u, sizes, _ = np.linalg.svd(directions, full_matrices=False)
+    projection = u.T @ centred
     for penalty in PENALTIES:
         shrink = sizes**2 / (sizes**2 + penalty * n)
-        leverage = 1.0 / n + left**2 @ shrink
-        away = centred - left @ (shrink[:, None] * told)
-        tried.append(away / np.maximum(1.0 - leverage, 1e-6)[:, None])
-    return min(tried, key=lambda away: float(np.sum(np.mean(away**2, axis=0) / scale)))
+        leverage = 1.0 / n + u**2 @ shrink
+        residual = centred - u @ (shrink[:, None] * projection)
+        residuals.append(residual / np.maximum(1.0 - leverage, 1e-6)[:, None])
+    return min(residuals, key=lambda residual: float(np.sum(np.mean(residual**2, axis=0) / scale)))
 
 
-def gain_of(goals: Goals, left: Array, rng: np.random.Generator) -> Gain:
+def gain_of(goals: Goals, residuals: Array, rng: np.random.Generator) -> Gain:
     """Gain of the test that leaves so much of the goals, (n, m); see `fit_left_out`.
 
     The expected remaining variance of a goal is the mean square of what is left; a band's width
     goes with its root. Information is half the logarithm of the ratio of the determinants of the
     goals' covariance before and after, in their principal directions.
     """
-    n = len(left)
+    n = len(residuals)
     counts = rng.multinomial(n, np.full(n, 1.0 / n), RESAMPLES)
     weights = np.concatenate([np.ones((1, n)), counts])
     # both are means of squares over draws that were left out: without information they are equal
-    away = (goals.values - goals.values.mean(axis=0)) * (n / (n - 1.0))
-    share = weights @ left**2 / np.maximum(weights @ away**2, 1e-300)
-    scale = np.maximum(away.std(axis=0), 1e-300)
-    _, sizes, ways = np.linalg.svd(away / scale, full_matrices=False)
+    centred = (goals.values - goals.values.mean(axis=0)) * (n / (n - 1.0))
+    share = weights @ residuals**2 / np.maximum(weights @ centred**2, 1e-300)
+    scale = np.maximum(centred.std(axis=0), 1e-300)
+    _, sizes, ways = np.linalg.svd(centred / scale, full_matrices=False)
     explained = np.cumsum(sizes**2) / max(float(np.sum(sizes**2)), 1e-300)
-    kept = min(int(np.searchsorted(explained, EXPLAINED)) + 1, MOST, len(sizes))
+    rank = min(int(np.searchsorted(explained, EXPLAINED)) + 1, MOST, len(sizes))
 
     def log_determinants(values: Array) -> Array:
-        own = values / scale @ ways[:kept].T
-        products = np.einsum("ni,nj->nij", own, own).reshape(n, -1)
-        means = (weights @ products).reshape(-1, kept, kept) / weights.sum(axis=1)[:, None, None]
+        scores = values / scale @ ways[:rank].T
+        products = np.einsum("ni,nj->nij", scores, scores).reshape(n, -1)
+        means = (weights @ products).reshape(-1, rank, rank) / weights.sum(axis=1)[:, None, None]
         return np.asarray(np.linalg.slogdet(means)[1])
 
     figures = []
-    for values in (goals.narrower(share), 0.5 * (log_determinants(away) - log_determinants(left))):
+    for values in (
+        goals.narrower(share),
+        0.5 * (log_determinants(centred) - log_determinants(residuals)),
+    ):
         figures += [max(float(values[0]), 0.0), float(np.std(values[1:], ddof=1))]
     return Gain(*figures)
 
@@ -287,29 +295,29 @@ def gain_of(goals: Goals, left: Array, rng: np.random.Generator) -> Gain:
 def greedy(goals: Goals, tests: Sequence[Array], size: int) -> list[tuple[int, ...]]:
     """Sets of 1, 2, … up to `size` tests, each with the one that adds most to the set before."""
     values = goals.values - goals.values.mean(axis=0)
-    every, n = np.concatenate(tests, axis=1), len(values)
+    design, n = np.concatenate(tests, axis=1), len(values)
     ends = np.cumsum([0, *(test.shape[1] for test in tests)])
-    gram, told, whole = every.T @ every, every.T @ values, np.sum(values**2, axis=0)
+    gram, cross, total = design.T @ design, design.T @ values, np.sum(values**2, axis=0)
 
-    def reduction(chosen: tuple[int, ...]) -> float:
+    def reduction(subset: tuple[int, ...]) -> float:
         """Expected reduction of the mean width, corrected for the number of columns."""
-        columns = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in chosen])
+        columns = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in subset])
         q = columns.size
         if not q or n <= q + 2:
             return 0.0
         matrix = gram[np.ix_(columns, columns)] + SMALL * n * np.eye(q)
-        right = told[columns]
-        explained = np.sum(right * np.linalg.solve(matrix, right), axis=0)
-        share = (whole - explained) / (n - 1.0 - q) * (n - 1.0) / np.maximum(whole, 1e-300)
+        rhs = cross[columns]
+        explained = np.sum(rhs * np.linalg.solve(matrix, rhs), axis=0)
+        share = (total - explained) / (n - 1.0 - q) * (n - 1.0) / np.maximum(total, 1e-300)
         return float(goals.narrower(np.clip(share, 0.0, None)))
 
-    found: list[tuple[int, ...]] = []
-    chosen: tuple[int, ...] = ()
+    sets: list[tuple[int, ...]] = []
+    subset: tuple[int, ...] = ()
     for _ in range(min(size, len(tests))):
-        free = (k for k in range(len(tests)) if k not in chosen)
-        chosen = max(((*chosen, k) for k in free), key=reduction)
-        found.append(chosen)
-    return found
+        candidates = (k for k in range(len(tests)) if k not in subset)
+        subset = max(((*subset, k) for k in candidates), key=reduction)
+        sets.append(subset)
+    return sets
 
 
 # --- advice ---------------------------------------------------------------------------------------
@@ -428,11 +436,11 @@ class Study:
         places = goal.places(typical_of(tests))
         settings = [
             setting_of(Loop.of(candidate, self.gap).trace, session)
-            for session, those in ((now, places), (self.session, candidates))
-            for candidate in those
+            for session, group in ((now, places), (self.session, candidates))
+            for candidate in group
         ]
         rng = np.random.default_rng([seed, DEVICES])
-        self.devices = Devices.draw(predictor, settings, draws, rng)
+        self.devices = SimulatedDevices.draw(predictor, settings, draws, rng)
         values = self._goal(goal, places, now)
         size = np.maximum(np.abs(values).max(axis=0, initial=0.0), 1e-300)
         varying = np.ptp(values, axis=0) > 1e-9 * size
@@ -448,32 +456,36 @@ class Study:
         devices, population = self.devices, self.devices.predictor.population
         if goal.quantity in OF_LAWS:
             if goal.of not in population.design.laws:
-                known = ", ".join(population.design.laws) or "nothing"
+                names = ", ".join(population.design.laws) or "nothing"
                 raise CampaignError(
                     f"no law of {goal.of!r} was inferred in this run: those that were are of "
-                    f"{known}"
+                    f"{names}"
                 )
             if goal.quantity == "exponent":
                 return population.shapes(goal.of)[1].reshape(-1, 1)[devices.index]
-            levels = [place.actuation for place in places]
+            levels = [candidate.actuation for candidate in places]
             low, high = min(levels), max(levels)
             low = 0.0 if not high > low else low
-            at = population.median(goal.of, np.array([low, high])).reshape(-1, 2)[devices.index]
-            return np.diff(at, axis=1) / (high - low)
+            medians = population.median(goal.of, np.array([low, high])).reshape(-1, 2)[
+                devices.index
+            ]
+            return np.diff(medians, axis=1) / (high - low)
         draws = []
-        for number, place in enumerate(places[:1] if goal.quantity == GAP else places):
-            loop, seed = Loop.of(place, self.gap), (self.seed, GOALS, number, 0)
+        for number, candidate in enumerate(places[:1] if goal.quantity == GAP else places):
+            loop, seed = Loop.of(candidate, self.gap), (self.seed, GOALS, number, 0)
             if goal.quantity in ("slip", GAP):
                 setting, rng = setting_of(loop.trace, session), np.random.default_rng(seed)
-                drawn = devices.drawn(loop.trace, setting, rng)
-                values, slips = devices.predictor.values(drawn), bool(self.model.slip_forces)
-                own = self.model.gap(values) if goal.quantity == GAP else None
+                sample = devices.sample_conditional(loop.trace, setting, rng)
+                values, slips = devices.predictor.values(sample), bool(self.model.slip_forces)
+                column = self.model.gap(values) if goal.quantity == GAP else None
                 if goal.quantity == "slip" and slips:
-                    own = slip_force_of(self.model, values)
-                if own is None:
-                    what = "gap" if goal.quantity == GAP else "slip force"
-                    raise CampaignError(f"the model {self.model.name} has no {what} to be known")
-                draws.append(own[:, None])
+                    column = slip_force_of(self.model, values)
+                if column is None:
+                    quantity = "gap" if goal.quantity == GAP else "slip force"
+                    raise CampaignError(
+                        f"the model {self.model.name} has no {quantity} to be known"
+                    )
+                draws.append(column[:, None])
                 continue
             scattered = goal.kind == "new_test"
             force = devices.damper(loop, session, scattered=scattered, seed=seed)
@@ -500,9 +512,9 @@ class Study:
         """Gain of tests whose summaries have these directions: the mean of several copies."""
         gains = []
         for directions in copies:
-            left = fit_left_out(self.goals.values, directions)
+            residuals = fit_left_out(self.goals.values, directions)
             rng = np.random.default_rng([self.seed, BOOTSTRAP])
-            gains.append(list(vars(gain_of(self.goals, left, rng)).values()))
+            gains.append(list(vars(gain_of(self.goals, residuals, rng)).values()))
         return Gain(*np.mean(gains, axis=0).tolist())
 
     def gain_of_set(self, numbers: Sequence[int]) -> Gain:
@@ -513,8 +525,8 @@ class Study:
         """
         sets = []
         for again in range(AFRESH):
-            first = COPIES + 1 + again * CURVE
-            tests = [self.simulated(n, first + place)[1] for place, n in enumerate(numbers)]
+            base = COPIES + 1 + again * CURVE
+            tests = [self.simulated(n, base + i)[1] for i, n in enumerate(numbers)]
             sets.append(np.concatenate(tests, axis=1))
         return self.gain(*sets)
 
@@ -533,9 +545,9 @@ def advise(
 
     `tests` are those that were made.
     """
-    every = list(dict.fromkeys(candidates))
-    ruled_out = {one: limit for one in every if (limit := limits.forbids(one))}
-    allowed = [one for one in every if one not in ruled_out]
+    unique = list(dict.fromkeys(candidates))
+    ruled_out = {item: limit for item in unique if (limit := limits.forbids(item))}
+    allowed = [item for item in unique if item not in ruled_out]
     if not allowed:
         raise CampaignError(
             "the limits of velocity and stroke forbid every candidate: give other candidates, or "
@@ -562,10 +574,10 @@ def advise(
         copies = [study.simulated(number, copy)[1] for copy in range(1, COPIES + 1)]
         gains[number] = study.gain(*copies)
         simulated += [(number, directions) for directions in copies]
-    chosen = greedy(study.goals, [directions for _, directions in simulated], CURVE)
+    sets = greedy(study.goals, [directions for _, directions in simulated], CURVE)
     together = []
-    for one in chosen:
-        numbers = [simulated[k][0] for k in one]
+    for item in sets:
+        numbers = [simulated[k][0] for k in item]
         candidates_of = tuple(allowed[n] for n in numbers)
         together.append(Together(**vars(study.gain_of_set(numbers)), candidates=candidates_of))
     rows = [
@@ -578,7 +590,7 @@ def advise(
         width=study.goals.width,
         rows=tuple(sorted(rows, key=lambda row: -row.reduction)),
         together=tuple(together),
-        ruled_out=tuple((one, ruled_out[one]) for one in every if one in ruled_out),
+        ruled_out=tuple((item, ruled_out[item]) for item in unique if item in ruled_out),
         tests=tuple(tests),
         draws=study.devices.index.size,
     )

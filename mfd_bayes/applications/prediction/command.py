@@ -28,8 +28,8 @@ from mfd_bayes.runs.folder import check_outputs
 from mfd_bayes.runs.model_average import ModelAverage
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.runs.stated import stated_actuation, stated_conditions
-from mfd_bayes.runs.tested_range import far_sentences
-from mfd_bayes.runs.unit_system import System
+from mfd_bayes.runs.tested_range import extrapolation_messages
+from mfd_bayes.runs.unit_system import UnitSystem
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
 from mfd_bayes.units import Axes, parse_quantity, percent
 
@@ -48,7 +48,7 @@ class Answer:
 
     band: Band
     derived: Rows
-    system: System
+    system: UnitSystem
     compared: Compared | None = None
     design: Rows = ()
     judged: str = ""
@@ -75,8 +75,8 @@ def run_predict(options: PredictOptions) -> None:
         if answer.judged:
             warning = "warning: " if answer.disagrees else ""
             say(f"{warning}{answer.judged}", err=answer.disagrees)
-    if options.explain and band.shares:
-        _print_shares(band.shares, quiet=options.quiet)
+    if options.explain and band.variance_shares:
+        _print_shares(band.variance_shares, quiet=options.quiet)
     if answer.design:
         _print_design(answer.design, band.probability)
     if not options.quiet:
@@ -88,47 +88,47 @@ def run_predict(options: PredictOptions) -> None:
 def predict(options: PredictOptions) -> Answer:
     """Force band for a motion and an actuation, and derived quantities; both are written."""
     check_options(options)
-    run, *others = (
+    run, *other_runs = (
         open_run(folder, trust=options.trust_model) for folder in (options.out, *options.others)
     )
     options = replace(options, actuation=stated_actuation(run, options.actuation))
     conditions = stated_conditions(options)
-    run, *others = (
-        replace(each, conditions=conditions, units=options.units) for each in (run, *others)
+    run, *other_runs = (
+        replace(member, conditions=conditions, units=options.units) for member in (run, *other_runs)
     )
-    source = ModelAverage((run, *others)) if others else run
+    source = ModelAverage((run, *other_runs)) if other_runs else run
     level = run.level_of(options.actuation)
     motion, remarks, record = _motion_of(options, run.manifest.settings, run.system.axes)
     measured = replace(motion, actuation=level)  # with its force, if the file has one
     trace = replace(measured, force=None)
-    own = options.test if options.test in run.tests else ""
-    far = far_sentences(run.departures(trace, own), run.system)
+    test_name = options.test if options.test in run.tests else ""
+    far = extrapolation_messages(run.extrapolations(trace, test_name), run.system)
     if far and not options.extrapolate:
         raise CampaignError(f"{far}; give --extrapolate to predict it all the same")
-    drawn = measured if options.compare else trace
+    target = measured if options.compare else trace
     design: Rows = ()
-    asked = measured if options.condition_on else trace, options.kind, options.probability
+    request = measured if options.condition_on else trace, options.kind, options.probability
     how: dict[str, Any] = {
         "whole": options.simultaneous,
         "given": _window(options),
         "after": options.after,
         "session": options.session,
     }
-    if not others:
+    if not other_runs:
         how |= {"test": options.test, "device": options.device}
         # without sessions the tables of --design are then of the same draws
         how["draws"] = max(n_draws(places_of(run)), DRAWS) if options.design else DRAWS
-    band = source.predict(*asked, **how)
+    band = source.predict(*request, **how)
     compared_with = record if options.compare else None
-    about = options.after, measured, options.device, options.session
-    rows = predicted_rows(source, trace, band, compared_with, *about)
+    context = options.after, measured, options.device, options.session
+    rows = predicted_rows(source, trace, band, compared_with, *context)
     if options.design:
         remarks += design_warnings(run)
         design = design_rows(run, trace, options.probability)
     band = replace(band, remarks=(*band.remarks, *remarks))
     compared, judged, disagrees = None, "", False
-    if drawn.force is not None:
-        compared = compare(band, drawn)
+    if target.force is not None:
+        compared = compare(band, target)
         judged, disagrees = compared.judged(rows)
     answer = Answer(
         band,
@@ -139,7 +139,7 @@ def predict(options: PredictOptions) -> Answer:
         judged,
         disagrees,
     )
-    _write(options, drawn, answer, measured)
+    _write(options, target, answer, measured)
     return answer
 
 
@@ -191,10 +191,10 @@ def _motion_of(
         return parse_sine(options.sine, axes).trace(0.0), (), None
     columns = motion_columns(options.motion, settings, axes)
     record = read_record(options.motion, columns, actuation=options.actuation, axes=axes)
-    shown = ", ".join(f"{axes.name(role)}: {n} [{u}]" for role, (n, u) in record.columns.items())
-    read = (f"columns read from {options.motion.name}: {shown}",) if columns else ()
-    given = f"--condition-on {options.condition_on!r}" if options.condition_on else ""
-    needs = "--compare" if options.compare else given
+    listing = ", ".join(f"{axes.name(role)}: {n} [{u}]" for role, (n, u) in record.columns.items())
+    read = (f"columns read from {options.motion.name}: {listing}",) if columns else ()
+    option = f"--condition-on {options.condition_on!r}" if options.condition_on else ""
+    needs = "--compare" if options.compare else option
     if needs and record.force is None:
         raise CampaignError(
             f"{needs} needs a column of the {axes.response.name} in {options.motion}"
@@ -248,25 +248,25 @@ def _thinned(record: Record, rate: float, window: tuple[float, float] | None) ->
     if window is None or record.force is None or trace.force is None:
         return trace
     begin, end = window
-    inside = (record.time >= begin) & (record.time <= end)
-    if not np.any(inside):  # which the prediction refuses
+    mask = (record.time >= begin) & (record.time <= end)
+    if not np.any(mask):  # which the prediction refuses
         return trace
-    held = np.interp(record.time, record.time[inside], record.force[inside])
-    known = replace(record, force=held).trace(rate)
-    at = (trace.time >= begin) & (trace.time <= end)
-    return replace(trace, force=np.where(at, np.asarray(known.force), trace.force))
+    force = np.interp(record.time, record.time[mask], record.force[mask])
+    window_trace = replace(record, force=force).trace(rate)
+    in_window = (trace.time >= begin) & (trace.time <= end)
+    return replace(trace, force=np.where(in_window, np.asarray(window_trace.force), trace.force))
 
 
-def _write(options: PredictOptions, drawn: Trace, answer: Answer, measured: Trace) -> None:
+def _write(options: PredictOptions, trace: Trace, answer: Answer, measured: Trace) -> None:
     """Write the tables and the pictures of a prediction; `measured` has a given part's force."""
     band, system = answer.band, answer.system
     actuated = system.axes.actuated
     title = system.text("Predicted force") + f" at {options.actuation}" * actuated
-    about = [f"actuation {options.actuation}"] * actuated
+    head = [f"actuation {options.actuation}"] * actuated
     if answer.compared is not None:
-        about.append(f"compared: {answer.compared.sentence(system)}")
-        about += [answer.judged] if answer.judged else []
-    write_text(options.bands, bands_csv(drawn, band, about, system))
+        head.append(f"compared: {answer.compared.sentence(system)}")
+        head += [answer.judged] if answer.judged else []
+    write_text(options.bands, bands_csv(trace, band, head, system))
     level = options.actuation if actuated else ""
     derived = predicted_csv(answer.derived, level, options.probability, system.axes.response.name)
     write_text(options.beside("derived.csv"), derived)
@@ -282,16 +282,16 @@ def _write(options: PredictOptions, drawn: Trace, answer: Answer, measured: Trac
     from mfd_bayes.reporting.figures import draw_history, draw_loops, to_png
 
     fan = fan_of_band(band)
-    given = band.given.window if band.given else None
-    history = drawn
+    window = band.given.window if band.given else None
+    history = trace
     if band.given is not None:
         title += f", given {options.condition_on}"
-        if drawn.force is None:  # the force of the given part alone
-            known = np.where(band.given.holds(band.time), np.asarray(measured.force), np.nan)
-            history = replace(drawn, force=known)
-    loops = draw_loops(title, drawn, [fan], system)
+        if trace.force is None:  # the force of the given part alone
+            force = np.where(band.given.holds(band.time), np.asarray(measured.force), np.nan)
+            history = replace(trace, force=force)
+    loops = draw_loops(title, trace, [fan], system)
     write_bytes(options.picture, to_png(loops))
-    figure = draw_history(title, history, [fan], system, given=given)
+    figure = draw_history(title, history, [fan], system, given=window)
     write_bytes(options.beside("history.png"), to_png(figure))
 
 

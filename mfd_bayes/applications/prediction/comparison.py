@@ -15,7 +15,7 @@ from mfd_bayes.evaluation.scores import Row, crps, rrse
 from mfd_bayes.population.bands import Band
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.unit_system import System
+from mfd_bayes.runs.unit_system import UnitSystem
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class Compared:
     probability: float
     given: bool = False  # whether a first part of the record was given
 
-    def sentence(self, system: System) -> str:
+    def sentence(self, system: UnitSystem) -> str:
         """Coverage and error in words; whether the band holds what a load cell adds."""
         full = "" if np.isnan(self.full) else f", {100 * self.full:.1f} % at full stroke"
         text = (
@@ -72,25 +72,25 @@ class Compared:
         """
         measurement = self.kind == "observation"
         skipped = () if measurement else _OF_MEASUREMENT
-        held = [r for r in rows if np.isfinite(r["measured"]) and r["name"] not in skipped]
-        outside = [r["name"] for r in held if not r["lower"] <= r["measured"] <= r["upper"]]
-        promised, parts = f"{percent(self.probability)} %", []
-        if outside:
+        measured = [r for r in rows if np.isfinite(r["measured"]) and r["name"] not in skipped]
+        outliers = [r["name"] for r in measured if not r["lower"] <= r["measured"] <= r["upper"]]
+        promised, clauses = f"{percent(self.probability)} %", []
+        if outliers:
             noise = ", offset and noise included" if measurement else ""
-            parts = [
-                f"{len(outside)} of {len(held)} measured values lie outside their {promised} "
-                f"intervals{noise} ({', '.join(outside)})"
+            clauses = [
+                f"{len(outliers)} of {len(measured)} measured values lie outside their {promised} "
+                f"intervals{noise} ({', '.join(outliers)})"
             ]
         missed = 1.0 - np.nanmin([self.coverage, self.full]) > OFTEN * (1.0 - self.probability)
-        if not (missed and measurement) and 2 * len(outside) <= len(held):
-            return "".join(parts), False
+        if not (missed and measurement) and 2 * len(outliers) <= len(measured):
+            return "".join(clauses), False
         if measurement:
             full = "" if np.isnan(self.full) else f", {100 * self.full:.0f} % at full stroke"
-            parts.append(
+            clauses.append(
                 f"the band holds {100 * self.coverage:.0f} % of the samples{full}, not {promised}"
             )
         return (
-            f"the prediction does not agree with the measurement: {', and '.join(parts)}; check "
+            f"the prediction does not agree with the measurement: {', and '.join(clauses)}; check "
             "the record and its actuation, or the device is not as it was in the calibrated tests"
         ), True
 
@@ -98,21 +98,21 @@ class Compared:
 def compare(band: Band, trace: Trace) -> Compared:
     """A band beside the measured force of its motion, where that moves and was not given."""
     force = np.asarray(trace.force)
-    rest = ~band.given.holds(band.time) if band.given else np.ones(force.size, dtype=np.bool_)
-    if not np.any(rest):
+    remaining = ~band.given.holds(band.time) if band.given else np.ones(force.size, dtype=np.bool_)
+    if not np.any(remaining):
         raise CampaignError("nothing is left to compare: the whole record was given")
     moving = in_motion(trace)
-    kept = rest & moving if np.any(rest & moving) else rest
-    inside = (force >= band.lower) & (force <= band.upper)
+    mask = remaining & moving if np.any(remaining & moving) else remaining
+    covered = (force >= band.lower) & (force <= band.upper)
     full, loops = np.zeros(force.size, dtype=np.bool_), find_loops(trace)
     for (begin, end), strong in zip(pairwise(loops.bounds.tolist()), loops.strong, strict=True):
-        full[begin:end] |= kept[begin:end] & strong
+        full[begin:end] |= mask[begin:end] & strong
     return Compared(
-        float(np.mean(inside[kept])),
-        float(np.mean(inside[full])) if np.any(full) else float("nan"),
-        int(np.count_nonzero(kept)),
-        rrse(band.median[kept], force[kept]),
-        float(np.mean(crps(band.draws[:, kept], force[kept]))),
+        float(np.mean(covered[mask])),
+        float(np.mean(covered[full])) if np.any(full) else float("nan"),
+        int(np.count_nonzero(mask)),
+        rrse(band.median[mask], force[mask]),
+        float(np.mean(crps(band.draws[:, mask], force[mask]))),
         band.kind,
         band.probability,
         band.given is not None,
@@ -130,5 +130,5 @@ def in_motion(trace: Trace) -> NDArray[np.bool_]:
     step = float(np.median(np.diff(trace.time)))
     window = 2 * max(int(0.5 * DWELL * cycle / step), 1) + 1
     span = maximum_filter1d(x, window, mode="nearest") - minimum_filter1d(x, window, mode="nearest")
-    still = span <= STILL * float(np.ptp(x))
-    return np.asarray(~binary_dilation(still, np.ones(window, dtype=np.bool_)))
+    at_rest = span <= STILL * float(np.ptp(x))
+    return np.asarray(~binary_dilation(at_rest, np.ones(window, dtype=np.bool_)))

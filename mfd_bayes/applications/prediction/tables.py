@@ -9,7 +9,7 @@ from mfd_bayes.evaluation.scores import Rows
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.tables import _by_column, _csv
-from mfd_bayes.runs.unit_system import System
+from mfd_bayes.runs.unit_system import UnitSystem
 from mfd_bayes.units import percent
 
 if TYPE_CHECKING:
@@ -18,30 +18,30 @@ if TYPE_CHECKING:
 
 def predicted_csv(rows: Rows, actuation: str, probability: float, force: str = "force") -> str:
     """Derived quantities of a prediction, with intervals of this probability."""
-    about = (
+    head = (
         f"derived quantities of the device, without offset and noise, of kind {rows[0]['role']}: "
         f"equal-tailed {percent(probability)} % intervals",
         f"{actuation and f'actuation {actuation}; '}measured: of the {force} in the motion's file, "
         "as it is",
     )
-    return _csv(about, _by_column("prediction", rows))
+    return _csv(head, _by_column("prediction", rows))
 
 
 def design_csv(rows: Rows, actuation: str, probability: float) -> str:
     """Mean and bounding properties with their factors, by property, then by basis."""
-    about = (
+    head = (
         "mean and bounding properties; each bound is exceeded with a probability of "
         f"{50.0 * (1.0 - probability):g} %",
         "lambda: bound over the nominal value, which is the mean of the mean property",
         *([f"actuation {actuation}"] if actuation else []),
     )
-    return _csv(about, _by_column("design", rows))
+    return _csv(head, _by_column("design", rows))
 
 
-def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) -> str:
+def bands_csv(trace: Trace, band: Band, notes: Sequence[str], system: UnitSystem) -> str:
     """Band of a prediction at every sample, with the measured force of the trace if it has one.
 
-    `about` are lines of its head, besides what the band is; the columns are in the units of
+    `notes` are lines of its head, besides what the band is; the columns are in the units of
     `system`.
     """
     forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
@@ -65,5 +65,5 @@ def bands_csv(trace: Trace, band: Band, about: Sequence[str], system: System) ->
     if band.given is not None:
         columns["given"] = band.given.holds(trace.time).astype(int)
         head.append(system.text("given: 1 where the force was given, 0 elsewhere"))
-    head += [system.text(f"warning: {remark}") for remark in band.remarks] + list(about)
+    head += [system.text(f"warning: {remark}") for remark in band.remarks] + list(notes)
     return _csv(head, columns, 8)

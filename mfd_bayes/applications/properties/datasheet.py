@@ -26,7 +26,7 @@ from mfd_bayes.records.loops import (
 from mfd_bayes.records.loops import UNITS as CYCLE_UNITS
 from mfd_bayes.records.record import NO_ACTUATION
 from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
-from mfd_bayes.runs.manifest import Use
+from mfd_bayes.runs.manifest import Fitness
 from mfd_bayes.runs.run import Run
 from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
 
@@ -86,17 +86,17 @@ def parse_condition(text: str, actuation_unit: str, axes: Axes = DAMPER) -> Cond
     return Condition(actuation, harmonic.amplitude, harmonic.frequency)
 
 
-def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
-    """Data sheet of a run: every condition that was tested, and those of `at`."""
+def datasheet(run: Run, conditions: Sequence[Condition] = ()) -> Datasheet:
+    """Data sheet of a run: every condition that was tested, and those of `conditions`."""
     tests = _harmonic_tests(run)
     table, lacking = [], []
-    for condition in dict.fromkeys([*sorted({test[0] for test in tests}), *at]):
-        own = [test for test in tests if test[0] == condition]
+    for condition in dict.fromkeys([*sorted({test[0] for test in tests}), *conditions]):
+        matching = [test for test in tests if test[0] == condition]
         label = condition_words(run, condition)
         try:
-            table += _rows(run, condition, label, own)
+            table += _rows(run, condition, label, matching)
         except MfdError as error:
-            if condition in at:
+            if condition in conditions:
                 raise
             lacking.append(Message("{label}: {error}.", {"label": label, "error": str(error)}))
     import pandas as pd  # which takes long to import
@@ -118,12 +118,12 @@ def datasheet(run: Run, at: Sequence[Condition] = ()) -> Datasheet:
 def condition_words(run: Run, condition: Condition) -> str:
     """A condition in the units of the run: "35 lbf, 1 in, 0.5 Hz"."""
     words, axes = run.system.words, run.system.axes
-    parts = [words([condition.stroke], "in", 3)]
+    fields = [words([condition.stroke], "in", 3)]
     if axes.actuated:
-        parts.insert(0, words([condition.actuation], run.actuation_unit, actuation=True))
+        fields.insert(0, words([condition.actuation], run.actuation_unit, actuation=True))
     if axes.timed:
-        parts.append(f"{condition.frequency:.3g} Hz")
-    return ", ".join(parts)
+        fields.append(f"{condition.frequency:.3g} Hz")
+    return ", ".join(fields)
 
 
 Tested = tuple[Condition, str, Trace, MeasuredCycles]
@@ -142,8 +142,8 @@ def _harmonic_tests(run: Run) -> list[Tested]:
             amplitude = 0.5 * float(np.median(cycles.stroke[full]))
             timed = run.system.axes.timed
             frequency = float(np.median(cycles.frequency[full])) if timed else 1.0
-            level, by = traces[name].reference_actuation, run.system.factor("in")
-            condition = Condition(level, _rounded(amplitude * by) / by, _rounded(frequency))
+            level, factor = traces[name].reference_actuation, run.system.factor("in")
+            condition = Condition(level, _rounded(amplitude * factor) / factor, _rounded(frequency))
             tests.append((condition, name, traces[name], cycles))
     return tests
 
@@ -155,25 +155,25 @@ def _rounded(value: float) -> float:
 
 
 def _rows(
-    run: Run, condition: Condition, label: str, own: Sequence[Tested]
+    run: Run, condition: Condition, label: str, tests: Sequence[Tested]
 ) -> list[dict[str, object]]:
-    """Rows of one condition; `own` are its tests."""
+    """Rows of one condition; `tests` are its tests."""
     axes = run.system.axes
-    if own:
-        trace = own[0][2]
+    if tests:
+        trace = tests[0][2]
     else:
         trace = Harmonic(*condition[1:], CYCLES, axes.timed).trace(condition.actuation)
     devices = run.manifest.settings.devices
-    names = dict.fromkeys((run.session(n), devices[n]) for _, n, _, _ in own) or places_of(run)
-    drawn = drawn_properties(run, trace, list(names))
-    remarks = [] if own else [d.sentence(run.system) for d in run.departures(trace)]
+    names = dict.fromkeys((run.session(n), devices[n]) for _, n, _, _ in tests) or places_of(run)
+    draws = drawn_properties(run, trace, list(names))
+    remarks = [] if tests else [d.sentence(run.system) for d in run.extrapolations(trace)]
     head = {
         "condition": label,
         "actuation": condition.actuation,
         "actuation_unit": run.actuation_unit,
         "stroke": condition.stroke,
         "frequency": condition.frequency,
-        "tested": bool(own),
+        "tested": bool(tests),
         "of": BASES[BASIS],
         "note": "; ".join(remarks),
     }
@@ -182,26 +182,26 @@ def _rows(
         if not axes.has(name):
             continue
         for cycle in range(CYCLES + 1 if name == "energy" else 1):
-            values = {basis: _of_cycle(of, name, cycle) for basis, of in drawn.items()}
+            values = {basis: _of_cycle(of, name, cycle) for basis, of in draws.items()}
             if cycle and not np.any(np.isfinite(values[BASIS])):
                 continue
             row = bounds(values["mean"], values[BASIS], PROBABILITY)
-            other = bounds(values["mean"], values.get(ANOTHER, np.empty(0)), PROBABILITY)
+            other_bounds = bounds(values["mean"], values.get(ANOTHER, np.empty(0)), PROBABILITY)
             rows.append(
                 head
                 | {"quantity": quantity, "direction": direction, "unit": CYCLE_UNITS[name]}
                 | {"cycle": cycle, **row}
-                | _measured(name, cycle, [cycles for *_, cycles in own], row)
-                | {f"{key}_other": other[key] for key in ("lambda_min", "lambda_max")}
+                | _measured(name, cycle, [cycles for *_, cycles in tests], row)
+                | {f"{key}_other": other_bounds[key] for key in ("lambda_min", "lambda_max")}
             )
     return rows
 
 
-def _of_cycle(drawn: Mapping[str, Array], name: str, cycle: int) -> Array:
+def _of_cycle(draws: Mapping[str, Array], name: str, cycle: int) -> Array:
     """Draws, (n,), of a property of a test, or of the energy of one of its cycles."""
     if cycle:
-        return drawn["energy"][:, cycle - 1 : cycle].ravel()
-    return drawn["energy_per_cycle" if name == "energy" else name]
+        return draws["energy"][:, cycle - 1 : cycle].ravel()
+    return draws["energy_per_cycle" if name == "energy" else name]
 
 
 def _measured(
@@ -211,8 +211,8 @@ def _measured(
 
     The standard error is that of the mean of the cycles, of all tests.
     """
-    kept = slice(cycle - 1, cycle) if cycle else slice(None)
-    of_cycles = [getattr(test, name)[test.full_stroke][kept] for test in tests]
+    window = slice(cycle - 1, cycle) if cycle else slice(None)
+    of_cycles = [getattr(test, name)[test.full_stroke][window] for test in tests]
     if cycle:
         values, errors = np.concatenate([np.empty(0), *of_cycles]), np.empty(0)
     else:
@@ -220,27 +220,27 @@ def _measured(
         errors = np.array([test.standard_error(name) for test in tests])
     if name.startswith("peak"):  # the largest value is no mean
         errors = np.empty(0)
-    each = np.concatenate([np.empty(0), *of_cycles])
-    each, values = each[np.isfinite(each)], values[np.isfinite(values)]
-    outside = (values < bounds["lower"]) | (values > bounds["upper"])
+    per_cycle = np.concatenate([np.empty(0), *of_cycles])
+    per_cycle, values = per_cycle[np.isfinite(per_cycle)], values[np.isfinite(values)]
+    outliers = (values < bounds["lower"]) | (values > bounds["upper"])
     nan = float("nan")
     return {
-        "measured_low": float(each.min()) if each.size else nan,
+        "measured_low": float(per_cycle.min()) if per_cycle.size else nan,
         "measured": float(values.mean()) if values.size else nan,
-        "measured_high": float(each.max()) if each.size else nan,
+        "measured_high": float(per_cycle.max()) if per_cycle.size else nan,
         "standard_error": float(np.sqrt(np.sum(errors**2)) / errors.size) if errors.size else nan,
-        "n_cycles": each.size,
+        "n_cycles": per_cycle.size,
         "n_tests": values.size,
-        "n_outside": int(outside.sum()),
+        "n_outside": int(outliers.sum()),
     }
 
 
 def _tested(run: Run) -> dict[str, Message]:
     """Ranges and numbers of what was tested."""
-    more = {"stroke": " from end to end"}
+    suffixes = {"stroke": " from end to end"}
     ranges = {
         run.system.text(span.name): Message(
-            f"{{range}}{more.get(span.name, '')}", {"range": span.words(run.system)}
+            f"{{range}}{suffixes.get(span.name, '')}", {"range": span.words(run.system)}
         )
         for span in run.tested
         if run.system.axes.actuated or span.name != "actuation"
@@ -257,44 +257,44 @@ def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
     """What the run may be used for, how many measured values its bounds hold, and where."""
     use = run.manifest.verdicts.get("campaign", "") or "not yet judged"
     count = len(run.tests)
-    fine = " All tests are reproduced within tolerance." if use == Use.USABLE else ""
-    first = Message(f"{{use}}: {count} calibrated tests.{fine}", {"use": use})
+    fine = " All tests are reproduced within tolerance." if use == Fitness.USABLE else ""
+    usability = Message(f"{{use}}: {count} calibrated tests.{fine}", {"use": use})
     tested = rows[(rows["cycle"] == 0) & rows["tested"].astype(bool)]
-    values, outside = int(tested["n_tests"].sum()), int(tested["n_outside"].sum())
-    most = ""
-    if outside:
+    values, outliers = int(tested["n_tests"].sum()), int(tested["n_outside"].sum())
+    worst_text = ""
+    if outliers:
         worst = tested.sort_values("n_outside").to_dict("records")[-1]
         quantity = worst["quantity"].replace("_", " ")
-        most = f", {worst['n_outside']} of them {quantity} at {worst['condition']}"
-    second = Message("No test is harmonic: there are no measured cycles to compare.")
+        worst_text = f", {worst['n_outside']} of them {quantity} at {worst['condition']}"
+    comparison = Message("No test is harmonic: there are no measured cycles to compare.")
     if values:
-        second = Message(
-            f"{outside} of {values} measured values ({100 * outside / values:.1f} %) lie outside "
+        comparison = Message(
+            f"{outliers} of {values} measured values ({100 * outliers / values:.1f} %) lie outside "
             "their 95 % bounds{most}.",
-            {"most": most},
+            {"most": worst_text},
         )
     spans = {span.name: span for span in run.tested}
     actuated = ("actuation",) if run.system.axes.actuated else ()
-    where = [spans[name] for name in (*actuated, "stroke", "frequency") if name in spans]
-    third = Message(
+    ranges = [spans[name] for name in (*actuated, "stroke", "frequency") if name in spans]
+    validity = Message(
         "Bounds and λ, which are bounds over the nominal value, are of {of}, the device tested "
         "again, within {where}; outside they rest on the form of the laws.",
-        {"of": BASES[BASIS], "where": ", ".join(span.words(run.system) for span in where)},
+        {"of": BASES[BASIS], "where": ", ".join(span.words(run.system) for span in ranges)},
     )
     if len(run.devices) < 2:
-        return first, second, third
+        return usability, comparison, validity
     slip = rows[(rows["cycle"] == 0) & (rows["quantity"] == "slip_force")]
     low, high = slip["lambda_min_other"].min(), slip["lambda_max_other"].max()
-    fourth = Message(
+    spread = Message(
         f"Another device of the make, from {len(run.devices)} devices: slip force of "
         f"{low:.2f} to {high:.2f} times the nominal one."
     )
-    return first, second, third, fourth
+    return usability, comparison, validity, spread
 
 
 def _not_known(run: Run) -> tuple[Message, ...]:
     """What ASCE/SEI 7 and EN 15129 ask of property factors and these tests cannot tell."""
-    followed = {c for those in run.manifest.settings.dependence.values() for c in those}
+    followed = {c for covariates in run.manifest.settings.dependence.values() for c in covariates}
     ageing = "Ageing, wear and contamination: all tests are of a few cycles of a new device."
     unknown = {
         "Other devices of the same make: all tests are of one device.": len(run.devices) < 2,

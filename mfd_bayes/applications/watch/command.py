@@ -12,12 +12,12 @@ import numpy as np
 from mfd_bayes.applications.watch.options import WatchOptions
 from mfd_bayes.console import say
 from mfd_bayes.errors import MfdError, RecordError
-from mfd_bayes.population.conditioning import Estimate, Forecaster, is_enough
+from mfd_bayes.population.conditioning import Estimate, OnlinePredictor, is_enough
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.stated import read_as_tests, stated_actuation, stated_conditions
 from mfd_bayes.runs.tested_range import conditions_of
-from mfd_bayes.runs.unit_system import System
+from mfd_bayes.runs.unit_system import UnitSystem
 from mfd_bayes.units import parse_quantity
 
 # --- a test is watched while it runs
@@ -40,19 +40,19 @@ class Cycle:
     band: float
     misfit: bool
     enough: int
-    system: System
+    system: UnitSystem
 
     @property
     def sentence(self) -> str:
         """One line: properties with their intervals, beside the population, and what is next."""
         words = self.system.words
-        parts = [
+        figures = [
             f"{e.name} {words([e.median], e.unit, 3)} ({words([e.lower, e.upper], e.unit, 3)}; "
             f"{100 * e.percentile:.0f} % of new tests are below)"
             for e in self.estimates.values()
         ]
-        most = max(self.estimates.values(), key=lambda e: e.narrowing)
-        verdict = f"one more would narrow {most.name} by {100 * most.narrowing:.1f} %"
+        best = max(self.estimates.values(), key=lambda e: e.narrowing)
+        verdict = f"one more would narrow {best.name} by {100 * best.narrowing:.1f} %"
         if self.misfit:
             verdict = (
                 "warning: the force does not fit this device, and these figures are not reliable: "
@@ -61,7 +61,7 @@ class Cycle:
         elif self.enough:
             verdict = f"enough after cycle {self.enough}"
         return (
-            f"cycle {self.number}: {', '.join(parts)}; band {words([self.band], 'kip', 3)} wide; "
+            f"cycle {self.number}: {', '.join(figures)}; band {words([self.band], 'kip', 3)} wide; "
             f"{verdict}"
         )
 
@@ -80,24 +80,27 @@ def watch(options: WatchOptions) -> Iterator[Cycle]:
     level = run.level_of(options.actuation)
     narrowing = parse_quantity(options.narrowing, "dimensionless", of="--narrowing")
     wait = parse_quantity(options.wait, "time", of="--wait")
-    follower: Forecaster | None = None
+    follower: OnlinePredictor | None = None
     number = begin = enough = 0
     for trace in _growing(run, options, wait):
         if trace.force is None:
             raise RecordError(f"{options.record} has no column of the force")
         turns = trace.cycle_turns[::2]
-        for first, end in pairwise(turns[turns >= begin - 1].tolist()):
+        for start, end in pairwise(turns[turns >= begin - 1].tolist()):
             follower = follower or _follow(run, trace, level, options)
-            part = slice(begin, end + 1)
+            segment = slice(begin, end + 1)
             follower.update(
-                trace.time[part], trace.displacement[part], None, np.asarray(trace.force)[part]
+                trace.time[segment],
+                trace.displacement[segment],
+                None,
+                np.asarray(trace.force)[segment],
             )
             number, begin = number + 1, end + 1
             estimates = follower.estimates(number)
             misfit = follower.is_misfit
             if not (enough or misfit) and is_enough(estimates, number, narrowing):
                 enough = number
-            width = _width(follower, trace, first, end)
+            width = _width(follower, trace, start, end)
             yield Cycle(number, estimates, width, misfit, enough, run.system)
     if not number:
         raise RecordError(
@@ -105,7 +108,7 @@ def watch(options: WatchOptions) -> Iterator[Cycle]:
         )
 
 
-def _follow(run: Run, trace: Trace, level: float, options: WatchOptions) -> Forecaster:
+def _follow(run: Run, trace: Trace, level: float, options: WatchOptions) -> OnlinePredictor:
     """Forecaster of a test with the stroke and the speed of its first cycle."""
     reached = conditions_of(trace)
     return run.follow(
@@ -117,11 +120,13 @@ def _follow(run: Run, trace: Trace, level: float, options: WatchOptions) -> Fore
     )
 
 
-def _width(follower: Forecaster, trace: Trace, first: int, end: int) -> float:
+def _width(follower: OnlinePredictor, trace: Trace, start: int, end: int) -> float:
     """Mean width of the band of the cycle between two samples, made once more, kip."""
-    at = np.arange(first, end, max(1, (end - first) // SAMPLES))
-    later = trace.time[end] - trace.time[first] + trace.time[at[1]] - trace.time[at[0]]
-    again = Trace.from_arrays(trace.time[at] + later, trace.displacement[at], trace.actuation)
+    indices = np.arange(start, end, max(1, (end - start) // SAMPLES))
+    later = trace.time[end] - trace.time[start] + trace.time[indices[1]] - trace.time[indices[0]]
+    again = Trace.from_arrays(
+        trace.time[indices] + later, trace.displacement[indices], trace.actuation
+    )
     band = follower.band(again)
     return float(np.mean(band.upper - band.lower))
 
@@ -132,15 +137,15 @@ def _growing(run: Run, options: WatchOptions, wait: float) -> Iterator[Trace]:
     The last line of a file that is being written may be half a line: while the file grows, what
     cannot be read is read again.
     """
-    seen = None
+    size = None
     while True:
         try:
             state = options.record.stat()
         except OSError as error:
             raise RecordError(f"cannot read {options.record}: {error.strerror}") from error
         idle = time.time() - state.st_mtime >= wait
-        if idle or state.st_size != seen:
-            seen = state.st_size
+        if idle or state.st_size != size:
+            size = state.st_size
             try:
                 yield read_as_tests(run, options.record, options.actuation).trace()
             except MfdError:
