@@ -7,10 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mfd_bayes.applications.acceptance.judgement import Acceptance, accept
+    from mfd_bayes.applications.buildings.building import Building, read_building
+    from mfd_bayes.applications.buildings.ground import Ground, read_ground
     from mfd_bayes.applications.buildings.respond import respond
+    from mfd_bayes.applications.buildings.response import Response
     from mfd_bayes.applications.next_test.next_test import next_test
     from mfd_bayes.applications.next_test.study import Advice
+    from mfd_bayes.calibration.diagnostics import Effort
     from mfd_bayes.calibration.posterior import Posterior
+    from mfd_bayes.calibration.priors import Prior, load_priors
     from mfd_bayes.calibration.sampling import Draws, sample
     from mfd_bayes.campaign.candidate import Candidate, Goal, Limits
     from mfd_bayes.errors import MfdError
@@ -19,8 +24,10 @@ if TYPE_CHECKING:
     from mfd_bayes.friction.model import Model
     from mfd_bayes.friction.quantities import Parameter
     from mfd_bayes.friction.three_stage import LuGre, ThreeStage
+    from mfd_bayes.pipeline.door import calibrate, demo, inspect
     from mfd_bayes.population.bands import Band
     from mfd_bayes.population.conditioning import OnlinePredictor
+    from mfd_bayes.population.population import Population
     from mfd_bayes.records.record import Record, read_record
     from mfd_bayes.records.trace import Trace
     from mfd_bayes.runs.model_average import ModelAverage
@@ -28,32 +35,44 @@ if TYPE_CHECKING:
 
 # Each name is imported when it is first asked for, so that `import mfd_bayes` stays quick.
 _HOMES = {
+    "accept": "mfd_bayes.applications.acceptance.judgement",
     "Acceptance": "mfd_bayes.applications.acceptance.judgement",
     "Advice": "mfd_bayes.applications.next_test.study",
-    "Band": "mfd_bayes.population.bands",
     "BacklashLuGre": "mfd_bayes.friction.backlash",
+    "Band": "mfd_bayes.population.bands",
     "BoucWen": "mfd_bayes.friction.bouc_wen",
+    "Building": "mfd_bayes.applications.buildings.building",
+    "calibrate": "mfd_bayes.pipeline.door",
     "Candidate": "mfd_bayes.campaign.candidate",
+    "demo": "mfd_bayes.pipeline.door",
     "Draws": "mfd_bayes.calibration.sampling",
+    "Effort": "mfd_bayes.calibration.diagnostics",
     "Goal": "mfd_bayes.campaign.candidate",
+    "Ground": "mfd_bayes.applications.buildings.ground",
+    "inspect": "mfd_bayes.pipeline.door",
     "Limits": "mfd_bayes.campaign.candidate",
-    "OnlinePredictor": "mfd_bayes.population.conditioning",
+    "load_priors": "mfd_bayes.calibration.priors",
     "LuGre": "mfd_bayes.friction.three_stage",
     "MfdError": "mfd_bayes.errors",
     "Model": "mfd_bayes.friction.model",
-    "Parameter": "mfd_bayes.friction.quantities",
     "ModelAverage": "mfd_bayes.runs.model_average",
+    "next_test": "mfd_bayes.applications.next_test.next_test",
+    "OnlinePredictor": "mfd_bayes.population.conditioning",
+    "open_run": "mfd_bayes.runs.run",
+    "Parameter": "mfd_bayes.friction.quantities",
+    "Population": "mfd_bayes.population.population",
     "Posterior": "mfd_bayes.calibration.posterior",
+    "Prior": "mfd_bayes.calibration.priors",
+    "read_building": "mfd_bayes.applications.buildings.building",
+    "read_ground": "mfd_bayes.applications.buildings.ground",
+    "read_record": "mfd_bayes.records.record",
     "Record": "mfd_bayes.records.record",
+    "respond": "mfd_bayes.applications.buildings.respond",
+    "Response": "mfd_bayes.applications.buildings.response",
     "Run": "mfd_bayes.runs.run",
+    "sample": "mfd_bayes.calibration.sampling",
     "ThreeStage": "mfd_bayes.friction.three_stage",
     "Trace": "mfd_bayes.records.trace",
-    "accept": "mfd_bayes.applications.acceptance.judgement",
-    "next_test": "mfd_bayes.applications.next_test.next_test",
-    "open_run": "mfd_bayes.runs.run",
-    "read_record": "mfd_bayes.records.record",
-    "respond": "mfd_bayes.applications.buildings.respond",
-    "sample": "mfd_bayes.calibration.sampling",
 }
 
 __all__ = [
@@ -62,9 +81,12 @@ __all__ = [
     "BacklashLuGre",
     "Band",
     "BoucWen",
+    "Building",
     "Candidate",
     "Draws",
+    "Effort",
     "Goal",
+    "Ground",
     "Limits",
     "LuGre",
     "MfdError",
@@ -72,14 +94,23 @@ __all__ = [
     "ModelAverage",
     "OnlinePredictor",
     "Parameter",
+    "Population",
     "Posterior",
+    "Prior",
     "Record",
+    "Response",
     "Run",
     "ThreeStage",
     "Trace",
     "accept",
+    "calibrate",
+    "demo",
+    "inspect",
+    "load_priors",
     "next_test",
     "open_run",
+    "read_building",
+    "read_ground",
     "read_record",
     "respond",
     "sample",

@@ -106,7 +106,7 @@ def write_run(folder: Path, *, small: bool) -> Path:
 
 
 def _write_posterior(path, posterior, rng):
-    flat = posterior.draw_prior(rng, 24)
+    flat = posterior.sample_prior(24, rng)
     theta = posterior.theta(flat)
     flat |= {name: theta[:, k] for k, name in enumerate(posterior.model.parameters)}
     density = posterior.log_prior(posterior.coordinates(flat)).reshape(2, 12)

@@ -107,7 +107,7 @@ def _values(design: Design, q: Array) -> dict[str, Array]:
 
 def _measured(blank: Posterior, shared: Mapping[str, Array], rng: np.random.Generator) -> Array:
     """Force of a test with its offset and noise, (1, T); what is not shared is from its prior."""
-    own = blank.draw_prior(rng, 1) | shared
+    own = blank.sample_prior(1, rng) | shared
     force = blank.force(own) + own["offset"][:, None]
     return np.asarray(force + blank.noise.draw(rng, blank.trace.time, own))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from scipy import special
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import FitError
 from mfd_bayes.records.trace import Trace
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Array = NDArray[np.float64]
 
@@ -107,3 +111,17 @@ def _transition(value: Array, previous: Array, decay: Array, dof: Array | None) 
     nu = dof[:, None]
     peak = special.gammaln((nu + 1) / 2) - special.gammaln(nu / 2) - 0.5 * np.log(nu * np.pi)
     return np.asarray(peak - 0.5 * (nu + 1) * np.log1p(squares / nu) - 0.5 * np.log(shrink))
+
+
+def cycles_of_draws(posterior: Posterior, values: Mapping[Any, Any]) -> xr.Dataset:
+    """Log density of each cycle given all others, (chain, draw, cycle), of draws by name."""
+    import xarray as xr
+
+    columns = {str(name): np.asarray(draws) for name, draws in values.items()}
+    shape = next(iter(columns.values())).shape
+    flat = {name: draws.reshape(-1) for name, draws in columns.items()}
+    cycles = find_cycles(posterior.trace, posterior.first)
+    log_density = cycle_log_likelihood(posterior, flat, cycles)[0]
+    force = (("chain", "draw", "cycle"), log_density.reshape(*shape, -1))
+    numbers = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
+    return xr.Dataset({"force": force}, coords=numbers)

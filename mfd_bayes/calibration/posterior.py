@@ -97,10 +97,16 @@ class Posterior:
             first=start_index,
         )
         if force_model.own:  # a user's model that cannot be used is refused before it is sampled
-            draw = self.draw_prior(np.random.default_rng(0), 1)
+            draw = self.sample_prior(1)
             values = {name: np.append(prior_of[name].median, draw[name]) for name in prior_of}
             shifted = values | {name: values[name] * (1.0 - BESIDE) for name in names}
             force_model.check_force(force_model.theta(values), force_model.theta(shifted), trace)
+
+    def __repr__(self) -> str:
+        return (
+            f"Posterior({self.model.name}, {self.noise.name}; {self.trace.samples} samples; q: "
+            f"{', '.join(self.names)})"
+        )
 
     def _repr_html_(self) -> str:
         trace = self.trace
@@ -207,11 +213,23 @@ class Posterior:
         """Parameters of the model in its own order, (n, p)."""
         return self.model.theta(values)
 
-    def draw_prior(self, rng: np.random.Generator, n: int) -> dict[str, Array]:
-        """Independent draws of all quantities from the prior, by name, (n,) each."""
-        if not isinstance(rng, np.random.Generator | np.random.RandomState):
-            raise FitError(f"rng must be a generator, as np.random.default_rng(1), got {rng!r}")
+    def sample_prior(self, n: int, seed: int | np.random.Generator = 0) -> dict[str, Array]:
+        """Independent draws of all quantities from the prior, by name, (n,) each.
+
+        Parameters
+        ----------
+        n : int
+        seed : int or numpy.random.Generator
+
+        Raises
+        ------
+        FitError
+            When `n` or `seed` is no whole number of 0 or more.
+        """
         whole_number("the number of draws", n, 0, FitError)
+        if not isinstance(seed, np.random.Generator):
+            whole_number("seed", seed, 0, FitError)
+        rng = np.random.default_rng(seed)
         defaults = {k: np.full(n, v) for k, v in self._defaults.items()}
         return defaults | {name: prior.draw(rng, n) for name, prior in self.priors.items()}
 

@@ -55,7 +55,7 @@ def find_modes(
     From many prior draws, those that fit well and differ most are chosen; least squares on
     residual and prior starts from each, then BFGS on the log posterior from each distinct result.
     """
-    of_prior = posterior.coordinates(posterior.draw_prior(rng, 2000))
+    of_prior = posterior.coordinates(posterior.sample_prior(2000, rng))
     mean, sd = of_prior.mean(axis=0), of_prior.std(axis=0)
     begin = _starting_points(posterior, of_prior[:500], starts)
     fits = _fit_residuals(posterior, begin, mean, sd)

@@ -241,7 +241,7 @@ class Extras(Protocol):
     def plot_loops(self, test: Any, axes: Any) -> Any:
         """Draw the loops of a calibrated test over its bands; returns Matplotlib axes."""
 
-    def inference_data(self, result: Any) -> Any:
+    def to_inference_data(self, result: Any) -> Any:
         """Data of a calibrated test or of a band that ArviZ's functions take."""
 
 
@@ -270,13 +270,20 @@ class TestResult:
         """Matplotlib axes with the measured loops over the bands of a measurement."""
         return needed(self.extras).plot_loops(self, axes)
 
-    def inference_data(self) -> Any:
+    def to_inference_data(self) -> Any:
         """What ArviZ's functions take: InferenceData, or a DataTree from ArviZ 1 on.
 
         Its groups are those of `posterior.nc`, and `log_likelihood`: the log density of each cycle
         given all others, by which `az.loo` leaves out whole cycles. That takes some seconds.
         """
-        return needed(self.extras).inference_data(self)
+        return needed(self.extras).to_inference_data(self)
+
+    def __repr__(self) -> str:
+        trace = self.posterior.trace
+        return (
+            f"TestResult({self.id!r}, {self.posterior.model.name}; {trace.samples} samples over "
+            f"{np.ptp(trace.time):.4g} s; {len(self.posterior.names)} quantities)"
+        )
 
     def _repr_html_(self) -> str:
         title = f"Test {self.id}, {self.posterior.model.name}"

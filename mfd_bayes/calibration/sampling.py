@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import emcee
 import numpy as np
@@ -23,8 +24,10 @@ from mfd_bayes.calibration.diagnostics import (
     interval_rows,
     intervals_of,
     measure,
+    measure_draws,
 )
 from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.proposal import (
     Density,
     Evidence,
@@ -40,6 +43,9 @@ from mfd_bayes.calibration.proposal import (
 from mfd_bayes.errors import FitError, whole_number
 from mfd_bayes.jobs.job import Progress
 from mfd_bayes.store.cards import counted, grid
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -380,6 +386,8 @@ class Draws:
     modes : tuple of Mode
         Where the walkers started, best first.
     wall_time : float, s
+    posterior : Posterior
+        That was sampled.
     """
 
     names: tuple[str, ...]
@@ -392,33 +400,81 @@ class Draws:
     chains: Chains
     modes: tuple[Mode, ...]
     wall_time: float
+    posterior: Posterior
 
     @property
     def convergence(self) -> Convergence:
         """R̂ and effective sample sizes of every coordinate and derived quantity."""
         return self.chains.convergence
 
-    def log_evidence(self, posterior: Posterior, seed: int | Sequence[int] = 0) -> Evidence:
+    def log_evidence(self, seed: int | Sequence[int] = 0) -> Evidence:
         """Log of likelihood times prior, integrated, by bridge sampling from these draws.
 
         It compares models of the same record, and depends on their priors.
-
-        Parameters
-        ----------
-        posterior : Posterior
-            That was sampled.
         """
         rng, walkers = generator_of(seed), self.chains.walkers
-        return log_evidence(posterior.log_prob, self.q, self.log_prob, walkers, rng)
+        return log_evidence(self.posterior.log_prob, self.q, self.log_prob, walkers, rng)
+
+    def summary(self) -> pd.DataFrame:
+        """A row for each quantity that varies, in internal units.
+
+        Columns: unit, mean, sd, q2.5, q50, q97.5, r_hat, ess_bulk and ess_tail.
+        """
+        import pandas as pd
+
+        unit_of, rows = units(self.posterior.model), {}
+        for name, draws in self.values.items():
+            if np.ptp(draws) > 0.0:
+                low, middle, high = np.quantile(draws, [0.025, 0.5, 0.975]).tolist()
+                row = {"unit": unit_of.get(name, ""), "mean": draws.mean(), "sd": draws.std()}
+                row |= {"q2.5": low, "q50": middle, "q97.5": high}
+                convergence = vars(measure_draws(draws, self.chains.walkers))
+                rows[name] = row | {key: float(value[0]) for key, value in convergence.items()}
+        return pd.DataFrame.from_dict(rows, orient="index")
+
+    def to_inference_data(self, seed: int = 0) -> Any:
+        """What ArviZ's functions take: InferenceData, or a DataTree from ArviZ 1 on.
+
+        Its groups are posterior, sample_stats (lp), prior, log_prior, log_likelihood, observed_data
+        and constant_data. The log likelihood is that of each cycle given all others, by which
+        `az.loo` leaves out whole cycles; of a record of fewer than three it is that of all. The
+        prior has as many draws as a chain, by `seed`.
+        """
+        from mfd_bayes.calibration.cycles import cycles_of_draws
+        from mfd_bayes.store.netcdf import arviz_data, draws_group, trace_groups
+
+        unit_of, n = units(self.posterior.model), self.q.shape[1]
+        try:
+            likelihood = cycles_of_draws(self.posterior, self.values)
+        except FitError:  # too few cycles to leave one out
+            likelihood = draws_group({"all": self.log_likelihood})
+        of_prior = self.posterior.sample_prior(n, seed)
+        return arviz_data(
+            {
+                "posterior": draws_group(self.values, unit_of),
+                "sample_stats": draws_group({"lp": self.log_prob}),
+                "prior": draws_group({k: v[None] for k, v in of_prior.items()}, unit_of),
+                "log_prior": draws_group({"all": self.log_prior}),
+                "log_likelihood": likelihood,
+                **trace_groups(self.posterior.trace),
+            }
+        )
+
+    def __repr__(self) -> str:
+        return self._title
+
+    @property
+    def _title(self) -> str:
+        """How many draws of what, and whether they have converged."""
+        chains, draws, _ = self.q.shape
+        return (
+            f"Draws: {counted(chains, 'chain')} of {draws}, {len(self.names)} quantities of "
+            f"{self.posterior.model.name}; worst R-hat {self.convergence.worst_r_hat:.3f}, "
+            f"smallest ESS {self.convergence.worst_ess:.0f}, {self.wall_time:.1f} s"
+        )
 
     def _repr_html_(self) -> str:
-        chains, draws, _ = self.q.shape
-        note = (
-            f"worst R-hat {self.convergence.worst_r_hat:.3f}, smallest effective sample size "
-            f"{self.convergence.worst_ess:.0f}, {self.wall_time:.1f} s"
-        )
-        title = f"Draws: {counted(chains, 'chain')} of {draws}"
-        return grid(title, *interval_rows(intervals_of(self.values)), note)
+        return grid(self._title, *interval_rows(intervals_of(self.values)))
 
 
 def sample(
@@ -469,6 +525,7 @@ def sample(
         chains=chains,
         modes=modes,
         wall_time=time.perf_counter() - began,
+        posterior=posterior,
     )
 
 

@@ -235,7 +235,7 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
     posterior, stored, trace = test.posterior, test.stored, test.trace
     values, facts, settings = stored.values(), stored.facts, manifest.settings
     replicas = replicate(posterior, values, np.random.default_rng(0))
-    prior_draws = posterior.draw_prior(np.random.default_rng(0), 2000)
+    prior_draws = posterior.sample_prior(2000, 0)
     theta = posterior.theta(prior_draws)
     prior = prior_draws | dict(zip(posterior.model.parameters, theta.T, strict=True))
     rows = _parameters(test, values, prior, facts["convergence"])

@@ -115,7 +115,7 @@ class Misfit:
 def prior_fan(campaign: Campaign, priors: PriorFile, trace: Trace) -> QuantileBand:
     """Bands of the force under the prior, without noise, for a test's motion."""
     posterior = Posterior(trace, priors, campaign.noise, campaign.force_model)
-    draws = posterior.draw_prior(np.random.default_rng(0), PRIOR_DRAWS)
+    draws = posterior.sample_prior(PRIOR_DRAWS, 0)
     return fan_of("prior", posterior.force(draws) + draws["offset"][:, None])
 
 

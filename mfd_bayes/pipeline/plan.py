@@ -88,7 +88,7 @@ class Plan:
         if not model.own:
             return ""
         posterior = self.tasks[0].posterior()
-        q = posterior.coordinates(posterior.draw_prior(np.random.default_rng(0), DRAWS))
+        q = posterior.coordinates(posterior.sample_prior(DRAWS, 0))
         began = time.perf_counter()
         posterior.log_prob(q)
         seconds = (time.perf_counter() - began) / DRAWS
@@ -236,7 +236,7 @@ def _task(
         checks_noise=campaign.settings.checks_noise(options.effort),
     )
     posterior = task.posterior()
-    draws = posterior.draw_prior(np.random.default_rng(0), 64)
+    draws = posterior.sample_prior(64, 0)
     if not np.any(np.isfinite(posterior.log_prob(posterior.coordinates(draws)))):
         raise FitError(
             f"the priors of {priors.path.name} have no mass at any start for test {test.id!r}: "

@@ -176,7 +176,7 @@ class Band:
         """
         return needed(self.extras).plot_band(self, axes, displacement)
 
-    def inference_data(self) -> Any:
+    def to_inference_data(self) -> Any:
         """The draws as ArviZ takes them: group `predictions`, variable `force`, kip.
 
         Raises
@@ -184,7 +184,15 @@ class Band:
         FitError
             When the band does not come from a run of `mfd_bayes.open_run`.
         """
-        return needed(self.extras).inference_data(self)
+        return needed(self.extras).to_inference_data(self)
+
+    def __repr__(self) -> str:
+        width = float(np.mean(self.upper - self.lower))
+        return (
+            f"Band({self.kind}, {percent(self.probability)} %; {self.time.size} samples over "
+            f"{np.ptp(self.time):.4g} s; median {self.median.min():.4g} to {self.median.max():.4g} "
+            f"kip, mean width {width:.4g} kip; {len(self.draws)} draws from {self.source})"
+        )
 
     def _repr_html_(self) -> str:
         width = float(np.mean(self.upper - self.lower))

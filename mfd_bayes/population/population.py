@@ -374,6 +374,13 @@ class Population:
     walkers: int  # chains of each group, by which its draws are ordered
     convergence: Convergence  # of scatter, effects' sd, shapes and levels
 
+    def __repr__(self) -> str:
+        laws = ", ".join(f"{name}: {law}" for name, law in self.design.laws.items())
+        return (
+            f"Population({len(self.design.settings)} tests; {self.size} draws; "
+            f"{len(self.design.names)} quantities; laws {laws or 'of none'})"
+        )
+
     @property
     def shape(self) -> tuple[int, int]:
         """Numbers of chains, and of draws of each."""

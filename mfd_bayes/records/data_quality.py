@@ -1122,6 +1122,11 @@ class Inspection:
     loops: Loops
     faults: tuple[Fault, ...]
 
+    def __repr__(self) -> str:
+        facts = [f"  {key:21s}{fact}" for key, fact in self.facts.items()]
+        faults = [f"  {'warning':21s}{fault.name}: {fault.message}" for fault in self.faults]
+        return "\n".join([self.name, *facts, *faults])
+
 
 def inspect_record(name: str, record: Record, gap: float | None = None) -> Inspection:
     """Columns, units, rate, loops, measured values, drifts and faults of a record.

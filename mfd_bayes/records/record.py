@@ -682,6 +682,13 @@ class Record:
     doubts: tuple[str, ...] = ()
     axes: Axes = DAMPER
 
+    def __repr__(self) -> str:
+        force = "no force" if self.force is None else f"force {np.ptp(self.force):.4g} kip in all"
+        return (
+            f"Record({self.path.name!r}; {self.time.size} samples over {np.ptp(self.time):.4g} s, "
+            f"{self.rate:.4g} Hz; displacement {np.ptp(self.displacement):.4g} in in all; {force})"
+        )
+
     @property
     def rate(self) -> float:
         """Sampling rate, Hz."""

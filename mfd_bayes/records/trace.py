@@ -240,6 +240,13 @@ class Trace:
     hysteresis: float
     timed: bool = True
 
+    def __repr__(self) -> str:
+        force = "without force" if self.force is None else "with force"
+        return (
+            f"Trace({self.samples} samples over {np.ptp(self.time):.4g} s, {force}; displacement "
+            f"{self.displacement.min():.4g} to {self.displacement.max():.4g} in)"
+        )
+
     @classmethod
     def from_arrays(
         cls,

@@ -43,15 +43,17 @@ class Notebook:
             axes, fan, trace.time, trace.displacement, self.system, trace.force
         )
 
-    def inference_data(self, result: TestResult | Band) -> Any:
+    def to_inference_data(self, result: TestResult | Band) -> Any:
         """Groups of a test, or of a band, as ArviZ's functions take them."""
+        from mfd_bayes.calibration.cycles import cycles_of_draws
         from mfd_bayes.population.bands import Band
         from mfd_bayes.store.netcdf import arviz_data, load_groups
 
         if isinstance(result, Band):
             return arviz_data(_of_band(result))
         groups = load_groups(result.path)
-        return arviz_data({**groups, "log_likelihood": _of_cycles(result)})
+        cycles = cycles_of_draws(result.posterior, result.stored.draws)
+        return arviz_data({**groups, "log_likelihood": cycles})
 
 
 def _along(band: Band, displacement: Any) -> NDArray[np.float64]:
@@ -75,18 +77,3 @@ def _of_band(band: Band) -> dict[str, Any]:
     force = (("chain", "draw", "time"), band.draws[None], attrs)
     numbers = {"chain": [0], "draw": np.arange(len(band.draws)), "time": band.time}
     return {"predictions": xr.Dataset({"force": force}, coords=numbers)}
-
-
-def _of_cycles(test: TestResult) -> Any:
-    """Log density of each cycle given all others, (chain, draw, cycle)."""
-    import xarray as xr
-
-    from mfd_bayes.calibration.cycles import cycle_log_likelihood, find_cycles
-
-    stored, posterior = test.stored, test.posterior
-    shape = stored.stats["lp"].shape
-    cycles = find_cycles(posterior.trace, posterior.first)
-    log_density = cycle_log_likelihood(posterior, stored.values(), cycles)[0]
-    values = (("chain", "draw", "cycle"), log_density.reshape(*shape, -1))
-    numbers = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
-    return xr.Dataset({"force": values}, coords=numbers)

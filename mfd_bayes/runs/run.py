@@ -336,6 +336,14 @@ class Run:
             return ""
         return f"the run of this device is {self.use}: {self.verdict}"
 
+    def __repr__(self) -> str:
+        tests = counted(len(self.tests), "calibrated test")
+        return (
+            f"Run({str(self.folder)!r}: {self.manifest.title}; {tests}, {len(self.held_out)} held "
+            f"out; {self.manifest.settings.model}, {self.manifest.effort.name}; "
+            f"{self.use or 'not yet judged'})"
+        )
+
     def _repr_html_(self) -> str:
         verdicts = self.manifest.verdicts
         rows = ((name, verdicts.get(name, "")) for name in self.tests)

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -61,6 +62,7 @@ def _hidden(*modules: str) -> Iterator[None]:
 
 
 _CHAINS = ("chain", "draw")
+NO_UNITS: Mapping[str, str] = MappingProxyType({})
 _GROUPS = ("posterior", "sample_stats", "observed_data", "constant_data")
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 _FORMAT_ATTRIBUTES = {
@@ -139,10 +141,10 @@ def save_test(path: Path, test: CalibratedTest) -> None:
     coordinates = {"time": test.trace.time, **_numbers({"force": test.predictive})}
     stats = {name: (_CHAINS, value) for name, value in test.stats.items()}
     groups = {
-        "posterior": _posterior(test.values, test.units, test.facts),
+        "posterior": draws_group(test.values, test.units, test.facts),
         "sample_stats": xr.Dataset(stats, coords=_numbers(test.stats)),
         "posterior_predictive": xr.Dataset({"force": replicas}, coords=coordinates),
-        **_trace_groups(test.trace),
+        **trace_groups(test.trace),
     }
     _write_groups(path, groups)
 
@@ -172,7 +174,7 @@ def arviz_data(groups: Mapping[str, xr.Dataset]) -> Any:
 
 def save_trace(path: Path, trace: Trace, facts: Mapping[str, Any]) -> None:
     """Write the trace of a test that is predicted and not fitted."""
-    groups = _trace_groups(trace)
+    groups = trace_groups(trace)
     groups["constant_data"].attrs["facts"] = json_text(facts)
     _write_groups(path, groups)
 
@@ -190,7 +192,7 @@ def save_arrays(
     units: Mapping[str, str] | None = None,
 ) -> None:
     """Write draws, (chain, draw, …) each, as a posterior group."""
-    _write_groups(path, {"posterior": _posterior(arrays, units or {}, facts)})
+    _write_groups(path, {"posterior": draws_group(arrays, units or {}, facts)})
 
 
 def load_arrays(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
@@ -199,8 +201,10 @@ def load_arrays(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
         return groups["posterior"].arrays, json.loads(groups["posterior"].attrs["facts"])
 
 
-def _posterior(
-    arrays: Mapping[str, Array], units: Mapping[str, str], facts: Mapping[str, Any]
+def draws_group(
+    arrays: Mapping[str, Array],
+    units: Mapping[str, str] = NO_UNITS,
+    facts: Mapping[str, Any] | None = None,
 ) -> xr.Dataset:
     """Group of draws, (chain, draw, …) each, with their units and facts."""
     import xarray as xr
@@ -210,7 +214,8 @@ def _posterior(
         extra = tuple(f"{name}_dim_{i}" for i in range(values.ndim - 2))
         attrs = {"units": units[name]} if name in units else {}
         data[name] = ((*_CHAINS, *extra), values, attrs)
-    return xr.Dataset(data, coords=_numbers(arrays), attrs={"facts": json_text(facts)})
+    about = {} if facts is None else {"facts": json_text(facts)}
+    return xr.Dataset(data, coords=_numbers(arrays), attrs=about)
 
 
 def _numbers(arrays: Mapping[str, Array]) -> dict[str, Array]:
@@ -219,7 +224,8 @@ def _numbers(arrays: Mapping[str, Array]) -> dict[str, Array]:
     return {name: np.arange(size) for name, size in zip(_CHAINS, shape, strict=True)}
 
 
-def _trace_groups(trace: Trace) -> dict[str, xr.Dataset]:
+def trace_groups(trace: Trace) -> dict[str, xr.Dataset]:
+    """Groups of a record: its force, and its motion."""
     import xarray as xr
 
     time = {"time": ("time", trace.time, {"units": "s" if trace.timed else "1"})}

@@ -38,7 +38,7 @@ def build(model="three_stage", noise="ou", initial="sample", *, trace=TRACE, pri
 
 
 def points(posterior, n=20, seed=0):
-    return posterior.coordinates(posterior.draw_prior(np.random.default_rng(seed), n))
+    return posterior.coordinates(posterior.sample_prior(n, seed))
 
 
 def with_force(force):
@@ -48,7 +48,7 @@ def with_force(force):
 @CASES
 def test_the_density_is_prior_times_the_likelihood_computed_by_hand(model, noise, initial):
     posterior = build(model, noise, initial)
-    drawn, first = posterior.draw_prior(np.random.default_rng(0), 20), posterior.first
+    drawn, first = posterior.sample_prior(20, 0), posterior.first
     q = posterior.coordinates(drawn)
     values = posterior.values(q)
     for name in posterior.names:  # which invert each other
@@ -94,7 +94,7 @@ def test_gamma1_is_not_sampled_but_keeps_its_prior():
     posterior = build()
     assert "gamma1" not in posterior.names
     np.testing.assert_array_equal(posterior.values(points(posterior, 3))["gamma1"], 1.0)
-    drawn = posterior.draw_prior(np.random.default_rng(0), 500)
+    drawn = posterior.sample_prior(500, 0)
     assert np.std(np.log(drawn["gamma1"])) == pytest.approx(0.5, rel=0.15)
     columns = dict(zip(ThreeStage().parameters, posterior.theta(drawn).T, strict=True))
     np.testing.assert_allclose(columns["gamma2"] / columns["gamma1"], drawn["ell"])
@@ -123,7 +123,7 @@ def test_a_mask_drops_the_samples_before_the_first_slip():
         masked = build(initial="discard", trace=with_force(changed))
         assert np.all((masked.log_likelihood(q) != expected) == matters)
     # where the device began does not matter afterwards
-    values = posterior.draw_prior(np.random.default_rng(5), 10)
+    values = posterior.sample_prior(10, 5)
     values |= {"d2": np.full(10, 0.1), "d3": np.full(10, 0.1), "ell": np.full(10, 0.005)}
     forces = [posterior.force(values | {"start": np.full(10, w)}) for w in (0.05, 0.95)]
     after = slice(posterior.first, None)
@@ -146,7 +146,7 @@ def test_points_and_values_are_taken_by_their_names():
         (posterior.force, {}, "values"),
         (posterior.force, None, "values"),
         (posterior.coordinates, posterior.values(q) | {"k2": 1.0}, "k2"),
-        (lambda rng: posterior.draw_prior(rng, 3), 0, "rng"),
+        (lambda seed: posterior.sample_prior(3, seed), "x", "seed"),
     ):
         with pytest.raises(FitError, match=name):
             call(bad)

@@ -67,7 +67,7 @@ def test_a_slip_force_that_is_not_the_measured_one_fails():
 
 
 def test_what_another_noise_moves_is_named_first_by_its_weight_in_design():
-    drawn = POSTERIOR.draw_prior(np.random.default_rng(0), 400)
+    drawn = POSTERIOR.sample_prior(400, 0)
     own = quantiles_of(POSTERIOR, drawn)
     quantities = {name: list(bounds) for name, bounds in own.items()}
     moved = {name: [900.0, 950.0, 999.0] for name in ("sigma0", "k3", "Fc_bwd")}

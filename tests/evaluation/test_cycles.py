@@ -96,7 +96,7 @@ def test_cycles_of_a_harmonic_record_are_its_periods():
 )
 def test_cycles_have_the_posteriors_own_likelihood(model, noise, initial):
     posterior = Posterior(harmonic(), FILE, noise, model, initial=initial)
-    q = posterior.coordinates(posterior.draw_prior(np.random.default_rng(0), 7))
+    q = posterior.coordinates(posterior.sample_prior(7, 0))
     cycles = find_cycles(posterior.trace, posterior.first)
     given, whole = cycle_log_likelihood(posterior, posterior.values(q), cycles)
     assert given.shape == (7, len(cycles) - 1)

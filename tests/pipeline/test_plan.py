@@ -235,7 +235,7 @@ def test_a_force_of_any_size_that_is_taken_has_a_likelihood(tmp_path, model):
         write_csv(tmp_path / "t0.csv", TIME, motion, scale * force)
         (task,) = plan_campaign(path, RunOptions(effort="quick")).tasks
         posterior = Posterior(task.trace, task.priors, "iid", model)
-        drawn = posterior.draw_prior(np.random.default_rng(1), 50)
+        drawn = posterior.sample_prior(50, 1)
         values = posterior.log_prob(posterior.coordinates(drawn))
         assert not np.any(np.isnan(values))
         assert np.any(np.isfinite(values))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mfd_bayes.applications.next_test.study import (
-    SimulatedDevices,
     Goals,
     Loop,
+    SimulatedDevices,
     advise,
     directions_of,
     fit_left_out,

@@ -64,7 +64,7 @@ def test_what_cannot_be_drawn_is_named(run, band):
 
 
 def test_arviz_takes_a_test_and_a_band_without_a_change(run, band):
-    data = run.tests["a"].inference_data()
+    data = run.tests["a"].to_inference_data()
     if hasattr(az, "psislw"):  # ArviZ 1.x refuses the loo of these few draws
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # their weights are not to be trusted
@@ -72,7 +72,7 @@ def test_arviz_takes_a_test_and_a_band_without_a_change(run, band):
     summary = az.summary(data, var_names=["Fc_fwd"])
     drawn = run.tests["a"].draws["Fc_fwd"].to_numpy()
     assert float(summary["mean"].iloc[0]) == pytest.approx(drawn.mean(), abs=2e-3)
-    force = band.inference_data()["predictions"]["force"]
+    force = band.to_inference_data()["predictions"]["force"]
     np.testing.assert_array_equal(np.asarray(force)[0], band.draws)
     assert force.attrs["units"] == "kip"
 

@@ -99,7 +99,7 @@ def synthesize(study: Study, index: int, noise: str) -> tuple[Posterior, dict[st
     rng = np.random.default_rng([study.seed, index, 0])
     blank = replace(study.motion, force=np.zeros(study.motion.samples))
     source = Posterior(blank, study.priors, TRUE, study.model)
-    truth = source.draw_prior(rng, 1)
+    truth = source.sample_prior(1, rng)
     force = source.force(truth) + truth["offset"][:, None]
     force = force + source.noise.draw(rng, blank.time, truth)
     return Posterior(replace(blank, force=force[0]), study.priors, noise, study.model), truth

@@ -87,16 +87,16 @@ def test_log_evidence_agrees_with_the_closed_form(fitted) -> None:
     covariance = NOISE**2 * np.eye(trace.samples) + design @ np.diag([1.0, 0.25, 0.09]) @ design.T
     force = np.asarray(trace.force) - design @ [0.0, 1.0, 0.0]
     exact = multivariate_normal(cov=covariance).logpdf(force)
-    evidence = draws.log_evidence(posterior)
+    evidence = draws.log_evidence()
     assert evidence.trusted
     assert abs(evidence.value - exact) < min(0.02, 5.0 * evidence.error + 0.002)
     # the control: a prior of the spring that is five times as wide lowers it by nearly log 5
     wide = {**PRIORS.parameters, "k2": Prior("normal", {"mean": 1.0, "sd": 2.5})}
     other = Posterior(trace, replace(PRIORS, parameters=wide), "iid", Linear())
-    lower = sample(other, Effort(ess=800, limit=3000), seed=4).log_evidence(other)
+    lower = sample(other, Effort(ess=800, limit=3000), seed=4).log_evidence()
     assert exact - lower.value > 0.5
     # and draws of another density are not a bridge to this one
-    assert not replace(draws, q=draws.q + 5.0).log_evidence(posterior).trusted
+    assert not replace(draws, q=draws.q + 5.0).log_evidence().trusted
 
 
 def test_draws_agree_with_the_closed_form_and_with_no_other(fitted) -> None:
@@ -106,3 +106,16 @@ def test_draws_agree_with_the_closed_form_and_with_no_other(fitted) -> None:
     assert agrees(draws, mean, covariance)
     assert not agrees(draws, *closed_form(posterior, 1.3 * NOISE))
     assert not agrees(draws, mean + 0.5 * np.sqrt(np.diag(covariance)), covariance)
+
+
+def test_draws_are_summed_up_and_handed_to_arviz(fitted) -> None:
+    posterior, draws = fitted
+    assert len(repr(draws)) < 300
+    summary = draws.summary()
+    assert [*summary.index] == ["sigma2", "k2", "offset"]
+    mean, covariance = closed_form(posterior, NOISE)
+    assert summary.loc["k2", "mean"] == pytest.approx(mean[1], abs=0.2 * covariance[1, 1] ** 0.5)
+    data = draws.to_inference_data()
+    for group in ("posterior", "sample_stats", "prior", "log_prior", "log_likelihood"):
+        assert data[group].sizes["chain"] == (1 if group == "prior" else len(draws.q))
+    np.testing.assert_array_equal(data["observed_data"]["force"], posterior.trace.force)
