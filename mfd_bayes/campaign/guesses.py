@@ -118,14 +118,16 @@ def guess_columns(table: Table, axes: Axes) -> dict[str, Guess]:
     roles = ("actuation",) * axes.actuated + ("time",) * axes.timed + ("displacement", "force")
     guesses: dict[str, Guess] = {}
     for role in roles:
-        taken = [guess.name for guess in guesses.values()]
+        used_names = [guess.name for guess in guesses.values()]
         named = (
-            _of_axis(table, user_axes[role]) if role in user_axes else _by_name(table, role, taken)
+            _of_axis(table, user_axes[role])
+            if role in user_axes
+            else _by_name(table, role, used_names)
         )
         if named is not None:
             guesses[role] = named
     missing = [role for role in roles if role not in {*guesses, *user_axes, "actuation"}]
-    torque, angle = (rotational(table, taken) for taken in ("N*m", "rad"))
+    torque, angle = (rotational(table, used_names) for used_names in ("N*m", "rad"))
     if not user_axes and torque and angle and {"displacement", "force"} & set(missing):
         raise RecordError(
             f"no column for {' and '.join(r for r in missing if r != 'time')}: {torque!r} is a "

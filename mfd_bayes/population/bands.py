@@ -146,8 +146,8 @@ class Band:
         """Band of force draws (n, T), kip."""
         tail = 0.5 * (1.0 - forecast.probability)
         lower, median, upper = np.quantile(draws, [tail, 0.5, 1.0 - tail], axis=0)
-        what = forecast.kind, forecast.probability, source, values or {}
-        return cls(time, lower, median, upper, draws, *what, shows_whole=forecast.whole)
+        about_band = forecast.kind, forecast.probability, source, values or {}
+        return cls(time, lower, median, upper, draws, *about_band, shows_whole=forecast.whole)
 
     @cached_property
     def whole(self) -> tuple[Array, Array]:
@@ -255,21 +255,23 @@ class Predictor:
     def predict(self, trace: Trace, forecast: PredictionOptions) -> Band:
         """Band of the force under a motion and an actuation, tested or not."""
         rng = np.random.default_rng(forecast.seed)
-        drawn = self.draw(trace, forecast, rng)
+        draws = self.draw(trace, forecast, rng)
         scatter = "" if forecast.kind == "mean" else " with scatter"
         laws = "laws" if self.population.design.laws else "medians"
-        return self.to_band(trace, forecast, drawn, rng, f"population {laws}{scatter}")
+        return self.to_band(trace, forecast, draws, rng, f"population {laws}{scatter}")
 
-    def repeat(self, trace: Trace, forecast: PredictionOptions, own: Mapping[str, Array]) -> Band:
+    def repeat(
+        self, trace: Trace, forecast: PredictionOptions, values_of_test: Mapping[str, Array]
+    ) -> Band:
         """Band of the force of one calibrated test under a motion: the kind `this_test`.
 
         The place in the gap at the start is unknown, unless a test is before it.
         """
         rng, coordinates = np.random.default_rng(forecast.seed), self.population.design.coordinates
-        pick = rng.choice(len(next(iter(own.values()))), size=forecast.draws)
-        x = coordinates.of({name: own[name][pick] for name in coordinates.names})
-        drawn = self.draw(trace, forecast, rng, x[:, : len(self.population.design.names)])
-        return self.to_band(trace, forecast, drawn, rng, "posterior draws of this test")
+        pick = rng.choice(len(next(iter(values_of_test.values()))), size=forecast.draws)
+        x = coordinates.of({name: values_of_test[name][pick] for name in coordinates.names})
+        draws = self.draw(trace, forecast, rng, x[:, : len(self.population.design.names)])
+        return self.to_band(trace, forecast, draws, rng, "posterior draws of this test")
 
     def draw(
         self,
@@ -287,14 +289,14 @@ class Predictor:
         index = population.draw_index(n, setting.actuation, rng)
         numbers = population.draw_numbers(n, grid.size, rng)
         scatter = forecast.kind != "mean"
-        drawn = self.sample_conditional(trace, setting, index, numbers, grid, scatter=scatter, x=x)
-        drawn = replace(drawn, knots=population.residual.draw_knots(rng, n))
+        draws = self.sample_conditional(trace, setting, index, numbers, grid, scatter=scatter, x=x)
+        draws = replace(draws, knots=population.residual.draw_knots(rng, n))
         if forecast.before is None or not self.model.has_gap:
-            return drawn
+            return draws
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            theta = self.model.theta(self.values(drawn))
+            theta = self.model.theta(self.values(draws))
             start = forecast.before.starts(self.model, theta, trace, forecast.seed)
-        return replace(drawn, unshared={**drawn.unshared, "start": start})
+        return replace(draws, unshared={**draws.unshared, "start": start})
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def sample_conditional(
@@ -316,18 +318,20 @@ class Predictor:
         """
         population, level = self.population, setting.actuation
         effects = population.level_effects(index, setting.session, grid, numbers.level)
-        parts = population.parts(setting, index, numbers, effects, scatter=scatter)
+        contributions = population.parts(setting, index, numbers, effects, scatter=scatter)
         if x is not None:
-            parts = x, np.zeros_like(x)
+            contributions = x, np.zeros_like(x)
         start, motion = numbers.start, motion or trace
-        unshared = population.unshared(self.model, parts[0] + parts[1], start, setting, motion)
+        unshared = population.unshared(
+            self.model, contributions[0] + contributions[1], start, setting, motion
+        )
         scales = {}
         if trace.varying:
             history = np.asarray(trace.actuation)
             scales = population.scales(self.model, history, index, level, effects)
         mean = population.residual.mean
         return PredictiveDraws(
-            *parts, unshared, scales, np.broadcast_to(mean, (len(index), mean.size))
+            *contributions, unshared, scales, np.broadcast_to(mean, (len(index), mean.size))
         )
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -335,29 +339,31 @@ class Predictor:
         self,
         trace: Trace,
         forecast: PredictionOptions,
-        drawn: PredictiveDraws,
+        draws: PredictiveDraws,
         rng: np.random.Generator,
         source: str,
-        part: slice = slice(None),
+        window: slice = slice(None),
     ) -> Band:
         """Band of drawn tests in a part of a motion, with noise if it is asked for."""
-        values = self.values(drawn)
+        values = self.values(draws)
         if forecast.kind == "observation":
             noise = self.population.residual.draw_noise(rng, trace, values["noise_sd"])
-            drawn = replace(drawn, noise=noise)
-        force = self.total(trace, drawn)
+            draws = replace(draws, noise=noise)
+        force = self.total(trace, draws)
         check_magnitude("the predicted force", force)
         if forecast.before is not None:
             source = f"{source}, {forecast.before.words}"
-        own = {quantity.name for quantity in (*self.model.quantities, *self.noise.quantities)}
-        own |= {"start", *self.population.design.names, *self.model.parameters}
-        shown = {name: value for name, value in values.items() if name in own}
-        band = Band.of(trace.time[part], force[:, part], forecast, source, shown)
-        return replace(band, explain=partial(self._shares, trace, drawn, part))
+        known_names = {
+            quantity.name for quantity in (*self.model.quantities, *self.noise.quantities)
+        }
+        known_names |= {"start", *self.population.design.names, *self.model.parameters}
+        reported = {name: value for name, value in values.items() if name in known_names}
+        band = Band.of(trace.time[window], force[:, window], forecast, source, reported)
+        return replace(band, explain=partial(self._shares, trace, draws, window))
 
-    def values(self, drawn: PredictiveDraws) -> dict[str, Array]:
+    def values(self, draws: PredictiveDraws) -> dict[str, Array]:
         """Quantities of drawn tests, by name, (n,) each."""
-        return {**self.population.values(drawn.mean + drawn.scatter), **drawn.unshared}
+        return {**self.population.values(draws.mean + draws.scatter), **draws.unshared}
 
     def model_force(
         self, trace: Trace, values: Mapping[str, Array], scales: Mapping[str, Array]
@@ -365,62 +371,62 @@ class Predictor:
         """The model's force of quantities by name (n,) and factors (n, T), (n, T), kip."""
         theta, start = self.model.theta(values), values.get("start")
         check_magnitude("a predicted parameter", theta, RANGE)
-        along = {k: np.broadcast_to(v, (len(theta), trace.samples)) for k, v in scales.items()}
-        return self.model.force_unbounded(theta, trace, start, scales=along or None)
+        series = {k: np.broadcast_to(v, (len(theta), trace.samples)) for k, v in scales.items()}
+        return self.model.force_unbounded(theta, trace, start, scales=series or None)
 
-    def force(self, trace: Trace, drawn: PredictiveDraws) -> Array:
+    def force(self, trace: Trace, draws: PredictiveDraws) -> Array:
         """The damper's force with the discrepancy of the model, (n, T), kip."""
-        values = self.values(drawn)
+        values = self.values(draws)
         slip = slip_force_of(self.model, values)
-        force = self.model_force(trace, values, drawn.scales)
-        return force + self.population.residual.discrepancy(trace, slip, drawn.knots)
+        force = self.model_force(trace, values, draws.scales)
+        return force + self.population.residual.discrepancy(trace, slip, draws.knots)
 
-    def total(self, trace: Trace, drawn: PredictiveDraws) -> Array:
+    def total(self, trace: Trace, draws: PredictiveDraws) -> Array:
         """Force of drawn tests, with noise and offset where they have noise, (n, T), kip."""
-        force = self.force(trace, drawn)
-        if drawn.noise is None:
+        force = self.force(trace, draws)
+        if draws.noise is None:
             return force
-        return force + self.values(drawn)["offset"][:, None] + drawn.noise
+        return force + self.values(draws)["offset"][:, None] + draws.noise
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def _shares(self, trace: Trace, drawn: PredictiveDraws, part: slice) -> dict[str, float]:
+    def _shares(self, trace: Trace, draws: PredictiveDraws, window: slice) -> dict[str, float]:
         """Share of each source in the mean variance: one varies, the others are at their means."""
-        few, design = slice(SHARE_DRAWS), self.population.design
+        subset, design = slice(SHARE_DRAWS), self.population.design
 
         def mean(values: Array) -> Array:
-            return np.broadcast_to(values.mean(axis=0), values[few].shape)
+            return np.broadcast_to(values.mean(axis=0), values[subset].shape)
 
-        start, noise = drawn.unshared["start"][few], drawn.noise
+        start, noise = draws.unshared["start"][subset], draws.noise
         fixed = PredictiveDraws(
-            mean(drawn.mean),
-            np.zeros_like(drawn.scatter[few]),
-            {name: np.full(v[few].shape, np.median(v)) for name, v in drawn.unshared.items()},
-            {name: mean(v) for name, v in drawn.scales.items()},
-            mean(drawn.knots),
-            None if noise is None else np.zeros_like(noise[few]),
+            mean(draws.mean),
+            np.zeros_like(draws.scatter[subset]),
+            {name: np.full(v[subset].shape, np.median(v)) for name, v in draws.unshared.items()},
+            {name: mean(v) for name, v in draws.scales.items()},
+            mean(draws.knots),
+            None if noise is None else np.zeros_like(noise[subset]),
         )
         sources = np.array([_source_of_scatter(design, name) for name in design.names])
         varied = {}
         for source in ADVICE:
-            scattered = np.where(sources == source, drawn.scatter[few], 0.0)
+            scattered = np.where(sources == source, draws.scatter[subset], 0.0)
             varied[source] = replace(fixed, scatter=scattered)
         follows = np.isin(design.names, [*design.laws])
-        for source, own in ((LAWS, follows), (PARAMETERS, ~follows & (sources != OFFSET))):
-            moved = np.where(own, drawn.mean[few], fixed.mean)
-            scales = {name: v[few] for name, v in drawn.scales.items()}
+        for source, members in ((LAWS, follows), (PARAMETERS, ~follows & (sources != OFFSET))):
+            moved = np.where(members, draws.mean[subset], fixed.mean)
+            scales = {name: v[subset] for name, v in draws.scales.items()}
             varied[source] = replace(fixed, mean=moved, scales=scales)
         varied[START] = replace(fixed, unshared={**fixed.unshared, "start": start})
-        varied[DISCREPANCY] = replace(fixed, knots=drawn.knots[few])
+        varied[DISCREPANCY] = replace(fixed, knots=draws.knots[subset])
         if noise is None:
             del varied[NOISE], varied[OFFSET]
         else:
-            varied[NOISE] = replace(fixed, noise=noise[few])
+            varied[NOISE] = replace(fixed, noise=noise[subset])
         variances = {
-            source: float(np.mean(np.var(self.total(trace, one)[:, part], axis=0)))
-            for source, one in varied.items()
+            source: float(np.mean(np.var(self.total(trace, variant)[:, window], axis=0)))
+            for source, variant in varied.items()
         }
-        whole = sum(variances.values())
-        return {k: v / whole for k, v in variances.items() if v > 1e-20} if whole > 1e-20 else {}
+        total = sum(variances.values())
+        return {k: v / total for k, v in variances.items() if v > 1e-20} if total > 1e-20 else {}
 
 
 # Sources of a band's width
@@ -459,5 +465,5 @@ def _source_of_scatter(design: Design, quantity: str) -> str:
     if quantity == "offset" or quantity.startswith("noise_"):
         return OFFSET if quantity == "offset" else ""
     groups = _GROUPS if design.coordinates.by_name else {}
-    found = (group for group, members in groups.items() if quantity in members)
-    return f"{SCATTER} {next(found, OTHERS)}"
+    matches = (group for group, members in groups.items() if quantity in members)
+    return f"{SCATTER} {next(matches, OTHERS)}"

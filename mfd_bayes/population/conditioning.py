@@ -111,12 +111,15 @@ def stroke_likelihood(
     The noise has standard deviations (n,) and a `share` that the samples of a stroke (T,) have in
     common: a random intercept. Each sample counts for `count` (T,) independent ones.
     """
-    home = (strokes[:, None] == np.arange(strokes[-1] + 1)) * count[:, None]
-    samples, rest, level = home.sum(axis=0), 1.0 - share**2, share**2
-    first, second = residuals @ home / sd[:, None], residuals**2 @ home / sd[:, None] ** 2
-    factor = 1.0 + level * samples / rest
-    squares = second / rest - level / rest**2 * first**2 / factor
-    log = np.log(factor) + samples * np.log(rest)
+    membership = (strokes[:, None] == np.arange(strokes[-1] + 1)) * count[:, None]
+    samples, unshared, level = membership.sum(axis=0), 1.0 - share**2, share**2
+    sums, squares_of_strokes = (
+        residuals @ membership / sd[:, None],
+        residuals**2 @ membership / sd[:, None] ** 2,
+    )
+    factor = 1.0 + level * samples / unshared
+    squares = squares_of_strokes / unshared - level / unshared**2 * sums**2 / factor
+    log = np.log(factor) + samples * np.log(unshared)
     return np.asarray(-0.5 * (squares + log).sum(axis=1) - samples.sum() * np.log(sd))
 
 
@@ -126,9 +129,9 @@ class Particles(NamedTuple):
     draw: Index
     numbers: Array
 
-    def of(self, chosen: Index) -> Particles:
+    def of(self, rows: Index) -> Particles:
         """Some of them."""
-        return Particles(self.draw[chosen], self.numbers[chosen])
+        return Particles(self.draw[rows], self.numbers[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,29 +154,29 @@ class PartialTest:
         return Particles(index, rng.standard_normal(size))
 
     def sample_conditional(
-        self, p: Particles, part: Trace, *, scatter: bool = True
+        self, p: Particles, trace: Trace, *, scatter: bool = True
     ) -> PredictiveDraws:
         """Tests of the particles under a part of the motion."""
         numbers, motion = self.predictor.population.numbers(p.numbers, self.grid.size), self.motion
         return self.predictor.sample_conditional(
-            part, self.setting, p.draw, numbers, self.grid, scatter=scatter, motion=motion
+            trace, self.setting, p.draw, numbers, self.grid, scatter=scatter, motion=motion
         )
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def log_likelihood(self, p: Particles, part: Trace, counted: Mask) -> Array:
+    def log_likelihood(self, p: Particles, motion: Trace, counted: Mask) -> Array:
         """Log likelihood of the counted samples, (n,).
 
         Of all counted samples (T,) the first one counts as an independent sample.
         """
         residual, model = self.predictor.population.residual, self.predictor.model
-        drawn, rows, strokes = (
-            self.sample_conditional(p, part),
+        draws, rows, strokes = (
+            self.sample_conditional(p, motion),
             np.flatnonzero(counted),
-            strokes_of(part),
+            strokes_of(motion),
         )
-        values, functions = self.predictor.values(drawn), residual.basis(part)
-        slip, measured = slip_force_of(model, values), np.asarray(part.force)
-        force = self.predictor.model_force(part, values, drawn.scales)[:, rows]
+        values, functions = self.predictor.values(draws), residual.basis(motion)
+        slip, measured = slip_force_of(model, values), np.asarray(motion.force)
+        force = self.predictor.model_force(motion, values, draws.scales)[:, rows]
         # before a full stroke a device far below slip is as quiet as in its gap
         shape = np.exp(functions @ residual.log_shape)
         quiet = np.abs(measured) < QUIET * np.median(slip)
@@ -183,21 +186,21 @@ class PartialTest:
         residuals = measured[rows] - force - discrepancy - values["offset"][:, None]
         residuals = residuals / shape[rows]
         residuals = np.where(np.isfinite(residuals), residuals, 1e6)
-        count = np.where(counted, residual.counts(part), 0.0)
+        count = np.where(counted, residual.counts(motion), 0.0)
         count[rows[0]] = 1.0
         noise = values["noise_sd"], residual.stroke_share
         log = stroke_likelihood(residuals, count[rows], strokes[rows], *noise)
         return np.maximum(np.nan_to_num(log, nan=LOWEST), LOWEST)
 
     def condition(
-        self, part: Trace, counted: Mask, n: int, rng: np.random.Generator
+        self, motion: Trace, counted: Mask, n: int, rng: np.random.Generator
     ) -> tuple[Particles, Array, ConditioningSummary]:
         """Particles given the counted samples of a part, n or some more, with log weights."""
         p = self.draw(n + -n % ISLANDS, rng)
-        log, power, stages, beta = self.log_likelihood(p, part, counted), 0.0, 0, 1.0
+        log, power, stages, beta = self.log_likelihood(p, motion, counted), 0.0, 0, 1.0
         while power < 1.0:
-            before, power = power, next_power(log, power)
-            weights = (power - before) * log
+            previous, power = power, next_power(log, power)
+            weights = (power - previous) * log
             if power == 1.0:
                 log_weights, k = smoothed(weights)
                 effective = effective_draws(log_weights)
@@ -207,13 +210,13 @@ class PartialTest:
             p, log = resampled(p, log, weights, rng)
             stages, log_weights = stages + 1, np.zeros(len(log))
             for moves in range(1, MOST + 1):
-                p, log, beta = self._move(p, log, part, counted, power, gaussian, beta, rng)
+                p, log, beta = self._move(p, log, motion, counted, power, gaussian, beta, rng)
                 if moves % MOVES:
                     continue
-                if power < 1.0 or (effective := self._effective(p, part)) >= 2 * FEWEST:
+                if power < 1.0 or (effective := self._effective(p, motion)) >= 2 * FEWEST:
                     break
         conditioned = ConditioningSummary(
-            window=(float(part.time[counted][0]), float(part.time[counted][-1])),
+            window=(float(motion.time[counted][0]), float(motion.time[counted][-1])),
             samples=int(counted.sum()),
             pareto_k=k,
             effective=effective,
@@ -224,16 +227,16 @@ class PartialTest:
     def _gaussian(self, p: Particles, log_weights: Array) -> tuple[Index, Array, Array]:
         """Columns of the numbers that matter, their weighted mean and root of covariance."""
         active = self.predictor.population.active(self.setting, self.grid)
-        weights, own = np.exp(log_weights - log_weights.max()), p.numbers[:, active]
-        spread = np.atleast_2d(np.cov(own.T, aweights=weights)) + 1e-9 * np.eye(active.size)
+        weights, points = np.exp(log_weights - log_weights.max()), p.numbers[:, active]
+        spread = np.atleast_2d(np.cov(points.T, aweights=weights)) + 1e-9 * np.eye(active.size)
         root = np.asarray(np.linalg.cholesky(spread), dtype=np.float64)
-        return active, np.average(own, axis=0, weights=weights), root
+        return active, np.average(points, axis=0, weights=weights), root
 
     def _move(
         self,
         p: Particles,
         log: Array,
-        part: Trace,
+        motion: Trace,
         counted: Mask,
         power: float,
         gaussian: tuple[Index, Array, Array],
@@ -246,65 +249,67 @@ class PartialTest:
         particles take another draw of the population.
         """
         active, mean, root = gaussian
-        n, old, flat = len(log), p.numbers, p.numbers.copy()
+        n, current, flat = len(log), p.numbers, p.numbers.copy()
         walk = rng.standard_normal((n, active.size)) @ root.T
-        flat[:, active] = mean + np.sqrt(1.0 - beta**2) * (old[:, active] - mean) + beta * walk
-        other = self.predictor.population.draw_index(n, self.setting.actuation, rng)
-        index = np.where(rng.random(n) < 0.5, other, p.draw)
+        flat[:, active] = mean + np.sqrt(1.0 - beta**2) * (current[:, active] - mean) + beta * walk
+        proposed_index = self.predictor.population.draw_index(n, self.setting.actuation, rng)
+        index = np.where(rng.random(n) < 0.5, proposed_index, p.draw)
         proposed = Particles(index, flat)
-        new = self.log_likelihood(proposed, part, counted)
+        log_proposed = self.log_likelihood(proposed, motion, counted)
 
         def over_gaussian(numbers: Array) -> Array:
             u = linalg.solve_triangular(root, (numbers[:, active] - mean).T, lower=True)
             prior = -0.5 * np.sum(numbers[:, active] ** 2, axis=1)
             return np.asarray(prior + 0.5 * np.sum(u**2, axis=0))
 
-        ratio = power * (new - log) + over_gaussian(flat) - over_gaussian(old)
+        ratio = power * (log_proposed - log) + over_gaussian(flat) - over_gaussian(current)
         accepted = np.log(rng.random(n)) < ratio
-        numbers = np.where(accepted[:, None], flat, old)
+        numbers = np.where(accepted[:, None], flat, current)
         beta = float(np.clip(beta * np.exp(accepted.mean() - ACCEPT), 0.05, 1.0))
-        kept = Particles(np.where(accepted, index, p.draw), numbers)
-        return kept, np.where(accepted, new, log), beta
+        moved = Particles(np.where(accepted, index, p.draw), numbers)
+        return moved, np.where(accepted, log_proposed, log), beta
 
-    def _effective(self, p: Particles, part: Trace) -> float:
+    def _effective(self, p: Particles, motion: Trace) -> float:
         """Effective number of draws of the worst quantity, by the means of islands' ranks."""
         from scipy.stats import rankdata  # which takes long to import
 
-        values = self.predictor.values(self.sample_conditional(p, part))
+        values = self.predictor.values(self.sample_conditional(p, motion))
         ranks = rankdata(np.column_stack([*values.values()]), axis=0)
         islands = ranks.reshape(ISLANDS, -1, ranks.shape[1])
-        between = islands.mean(axis=1).var(axis=0, ddof=1)
-        within = islands.var(axis=1, ddof=1).mean(axis=0)
-        worst = np.max(between / np.maximum(within, 1e-9))
+        variance_between = islands.mean(axis=1).var(axis=0, ddof=1)
+        variance_within = islands.var(axis=1, ddof=1).mean(axis=0)
+        worst = np.max(variance_between / np.maximum(variance_within, 1e-9))
         return float(min(len(ranks), ISLANDS / max(worst, 1e-9)))
 
 
 def next_power(log: Array, power: float) -> float:
     """Largest power of the likelihood that leaves enough effective draws, at most 1."""
 
-    def share(after: float) -> float:
-        return effective_draws((after - power) * log) / len(log)
+    def share(next_value: float) -> float:
+        return effective_draws((next_value - power) * log) / len(log)
 
     if share(1.0) >= LEAST_EFFECTIVE:
         return 1.0
     from scipy.optimize import brentq  # which takes long to import
 
-    return float(brentq(lambda after: share(after) - LEAST_EFFECTIVE, power, 1.0))
+    return float(brentq(lambda next_value: share(next_value) - LEAST_EFFECTIVE, power, 1.0))
 
 
 def resampled(
     p: Particles, log: Array, log_weights: Array, rng: np.random.Generator
 ) -> tuple[Particles, Array]:
     """Particles and their log likelihoods, resampled within each island."""
-    parts = np.split(np.arange(len(log)), ISLANDS)
-    chosen = np.concatenate([at[systematic(log_weights[at], at.size, rng)] for at in parts])
-    return p.of(chosen), log[chosen]
+    islands = np.split(np.arange(len(log)), ISLANDS)
+    rows = np.concatenate(
+        [island[systematic(log_weights[island], island.size, rng)] for island in islands]
+    )
+    return p.of(rows), log[rows]
 
 
 def smoothed(log_weights: Array) -> tuple[Array, float]:
     """Pareto-smoothed log weights, (n,), and Pareto k."""
-    least = np.nanmax(log_weights) - 600.0
-    return psis(np.maximum(np.nan_to_num(log_weights, nan=-np.inf), least))
+    floor = np.nanmax(log_weights) - 600.0
+    return psis(np.maximum(np.nan_to_num(log_weights, nan=-np.inf), floor))
 
 
 def effective_draws(log_weights: Array) -> float:
@@ -324,10 +329,10 @@ def check_kind(forecast: PredictionOptions) -> None:
 
 def usual_step(residual: Residual, setting: TestConditions) -> float:
     """Time between samples, s, at which a motion of such a peak speed would be fitted."""
-    own = -residual.noise_time * np.log(residual.lag_one)
+    noise_step = -residual.noise_time * np.log(residual.lag_one)
     speed = setting.covariates.get("velocity", 0.0)
-    usual = 0.5 * np.pi * residual.travel / speed if speed > 0 else np.inf
-    return float(np.clip(usual, 0.25 * own, 4.0 * own))
+    crossing_time = 0.5 * np.pi * residual.travel / speed if speed > 0 else np.inf
+    return float(np.clip(crossing_time, 0.25 * noise_step, 4.0 * noise_step))
 
 
 def block_size(time: Array, step: float) -> int:
@@ -344,12 +349,12 @@ def predict_given(
     """Band of a record of which a part is known; all of it, with the given part."""
     check_kind(forecast)
     setting, population = forecast.setting(trace), predictor.population
-    part, counted = given_part(trace, window, usual_step(population.residual, setting))
+    motion, counted = given_part(trace, window, usual_step(population.residual, setting))
     rng, n = np.random.default_rng(forecast.seed), forecast.draws
     test = PartialTest(predictor, setting, population.grid_of(trace), trace)
-    p, log_weights, given = test.condition(part, counted, max(PARTICLES, n), rng)
-    given = replace(given, window=checked_window(window, "given", FitError))
-    return given_band(test, p.of(systematic(log_weights, n, rng)), trace, forecast, given, rng)
+    p, log_weights, summary = test.condition(motion, counted, max(PARTICLES, n), rng)
+    summary = replace(summary, window=checked_window(window, "given", FitError))
+    return given_band(test, p.of(systematic(log_weights, n, rng)), trace, forecast, summary, rng)
 
 
 def given_band(
@@ -357,16 +362,16 @@ def given_band(
     p: Particles,
     trace: Trace,
     forecast: PredictionOptions,
-    given: ConditioningSummary,
+    summary: ConditioningSummary,
     rng: np.random.Generator,
     samples: int = 0,
 ) -> Band:
     """Band of particles that took a part in: of all samples of a motion, or of so many last."""
     knots = test.predictor.population.residual.draw_knots(rng, len(p.draw))
-    drawn = replace(test.sample_conditional(p, trace), knots=knots)
-    source = f"population laws with scatter, and {given.sentence}"
-    band = test.predictor.to_band(trace, forecast, drawn, rng, source, slice(-samples, None))
-    return replace(band, given=given, remarks=(*band.remarks, *given.remarks))
+    draws = replace(test.sample_conditional(p, trace), knots=knots)
+    source = f"population laws with scatter, and {summary.sentence}"
+    band = test.predictor.to_band(trace, forecast, draws, rng, source, slice(-samples, None))
+    return replace(band, given=summary, remarks=(*band.remarks, *summary.remarks))
 
 
 def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[Trace, Mask]:
@@ -378,31 +383,31 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[
     words = f"from {begin:g} s to {end:g} s"
     if trace.force is None:
         raise FitError(f"the trace has no force: given {words} needs the force measured there")
-    first, last = float(trace.time[0]), float(trace.time[-1])
-    if begin < first - step or end > last + step:
+    begin_time, end_time = float(trace.time[0]), float(trace.time[-1])
+    if begin < begin_time - step or end > end_time + step:
         raise FitError(
-            f"the given part {words} must lie within the record, which goes from {first:g} s to "
-            f"{last:g} s"
+            f"the given part {words} must lie within the record, which goes from {begin_time:g} "
+            f"s to {end_time:g} s"
         )
-    inside = np.flatnonzero((trace.time >= begin) & (trace.time <= end))
+    in_window = np.flatnonzero((trace.time >= begin) & (trace.time <= end))
     size = block_size(trace.time, step)
-    if inside.size < SAMPLES * size:
+    if in_window.size < SAMPLES * size:
         raise FitError(
-            f"the given part {words} holds {inside.size} samples, too few: at least "
+            f"the given part {words} holds {in_window.size} samples, too few: at least "
             f"{SAMPLES * size} are expected"
         )
-    if not np.any(trace.force[inside]):
+    if not np.any(trace.force[in_window]):
         raise FitError(
             f"the force is zero in the whole given part {words}: expected a measured force"
         )
     turns = trace.turning_points
-    stop = max(int(inside[-1]), int(turns[1]) if turns.size > 1 else trace.samples - 1) + 1
-    edges = np.arange(int(inside[0]) % size, stop - size + 1, size)
+    stop = max(int(in_window[-1]), int(turns[1]) if turns.size > 1 else trace.samples - 1) + 1
+    edges = np.arange(int(in_window[0]) % size, stop - size + 1, size)
 
     def mean(values: ArrayLike) -> Array:
         return np.asarray(np.asarray(values)[edges[:, None] + np.arange(size)].mean(axis=1))
 
-    part = Trace.from_arrays(
+    motion = Trace.from_arrays(
         mean(trace.time),
         mean(trace.displacement),
         mean(trace.actuation) if trace.varying else trace.actuation,
@@ -410,8 +415,8 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[
         mean(trace.velocity),
         hysteresis=trace.hysteresis,
     )
-    part = replace(part, timed=trace.timed)
-    return part, (edges >= inside[0]) & (edges + size <= inside[-1] + 1)
+    motion = replace(motion, timed=trace.timed)
+    return motion, (edges >= in_window[0]) & (edges + size <= in_window[-1] + 1)
 
 
 # --- samples that arrive --------------------------------------------------------------------------
@@ -443,7 +448,7 @@ class OnlinePredictor:
         self.complete = lambda band, motion: band
         self._predictor, self._forecast, self._may_refresh = predictor, forecast, refresh
         self._residual, self._model = population.residual, predictor.model
-        tested = [one.actuation for one in population.design.settings]
+        tested = [test.actuation for test in population.design.settings]
         self._zero = ZERO * max(tested)
         reached = [self._level * way for way in EITHER_WAY] + [p for p in tested if p > 0.0]
         self._test = PartialTest(predictor, setting, population.grid(self._level, reached))
@@ -501,10 +506,10 @@ class OnlinePredictor:
         rows = _checked_rows(time=time, displacement=displacement, actuation=level, force=force)
         late = np.diff(rows[0], prepend=self._last) <= 0
         if np.any(late):
-            at = int(np.argmax(late))
+            index = int(np.argmax(late))
             raise RecordError(
-                f"time must increase; it does not at sample {at} of the update "
-                f"(t = {rows[0, at]:g} s)"
+                f"time must increase; it does not at sample {index} of the update "
+                f"(t = {rows[0, index]:g} s)"
             )
         if not rows.size:
             return
@@ -515,15 +520,15 @@ class OnlinePredictor:
             self._size = block_size(self._waiting[0], self._step)
         blocks = self._waiting.shape[1] // self._size if self._size else 0
         if blocks:
-            used = blocks * self._size
-            means = self._waiting[:, :used].reshape(4, blocks, self._size).mean(axis=2)
-            self._waiting = self._waiting[:, used:]
+            n_used = blocks * self._size
+            means = self._waiting[:, :n_used].reshape(4, blocks, self._size).mean(axis=2)
+            self._waiting = self._waiting[:, n_used:]
             self._rows, self._weighted = np.concatenate([self._rows, means], axis=1), None
 
     def _check_actuation(self, actuation: ArrayLike) -> None:
         """Refuse an actuation where the laws say nothing of it."""
-        given = real_numbers("actuation", actuation, RecordError)
-        if self._level <= 0.0 and np.any(given > self._zero):
+        levels = real_numbers("actuation", actuation, RecordError)
+        if self._level <= 0.0 and np.any(levels > self._zero):
             raise RecordError(
                 "the test was planned without actuation, and now has one: give run.follow the "
                 "actuation of the test"
@@ -537,15 +542,17 @@ class OnlinePredictor:
 
     def _values_of(self, p: Particles, *, scatter: bool = True) -> dict[str, Array]:
         """Quantities of particles by name, (n,) each."""
-        still = Trace.from_arrays([0.0, 1.0, 2.0], np.zeros(3), self._level, np.zeros(3))
-        return self._predictor.values(self._test.sample_conditional(p, still, scatter=scatter))
+        motion_at_rest = Trace.from_arrays([0.0, 1.0, 2.0], np.zeros(3), self._level, np.zeros(3))
+        return self._predictor.values(
+            self._test.sample_conditional(p, motion_at_rest, scatter=scatter)
+        )
 
     def _log_likelihood(self) -> Array:
         """Log likelihood of the force so far, (n,); 0 before there is a trace of it."""
         if self._rows.shape[1] < SAMPLES:
             return np.zeros(len(self._particles.draw))
-        every = np.ones(self._rows.shape[1], dtype=bool)
-        return self._test.log_likelihood(self._particles, self._trace(self._rows), every)
+        all_samples = np.ones(self._rows.shape[1], dtype=bool)
+        return self._test.log_likelihood(self._particles, self._trace(self._rows), all_samples)
 
     def _weights(self, *, trusted: bool = False) -> tuple[Array, float]:
         """Smoothed log weights of the particles, (n,), and Pareto k.
@@ -564,10 +571,10 @@ class OnlinePredictor:
         if self._rows.shape[1] < SAMPLES:
             return
         trace, n = self._trace(self._rows), self._forecast.draws
-        every = np.ones(trace.samples, dtype=bool)
-        p, weights, given = self._test.condition(trace, every, max(n, 1000), self._rng)
+        all_samples = np.ones(trace.samples, dtype=bool)
+        p, weights, summary = self._test.condition(trace, all_samples, max(n, 1000), self._rng)
         self._particles, self._weighted = p.of(systematic(weights, n, self._rng)), None
-        self._stages = given.stages
+        self._stages = summary.stages
         self._log_prior = -self._log_likelihood()
 
     @property
@@ -581,8 +588,8 @@ class OnlinePredictor:
         (noise,) = quantiles(values["noise_sd"], weights, (0.5,))
         active = self._predictor.population.active(self._test.setting, self._test.grid)
         squares = np.sum(self._particles.numbers[:, active] ** 2, axis=1)
-        (away,) = quantiles(squares, weights, (0.5,))
-        return bool(noise > self._most_noise or away > special.chdtri(active.size, 0.01))
+        (distance,) = quantiles(squares, weights, (0.5,))
+        return bool(noise > self._most_noise or distance > special.chdtri(active.size, 0.01))
 
     @cached_property
     def _most_noise(self) -> float:
@@ -592,17 +599,17 @@ class OnlinePredictor:
     @cached_property
     def _new(self) -> tuple[dict[str, Array], dict[str, Array]]:
         """Properties of new tests of the device, with their scatter and without."""
-        with_scatter, without = (
+        with_scatter, without_scatter = (
             properties(self._model, self._values_of(self._new_tests, scatter=scatter))
             for scatter in (True, False)
         )
-        return with_scatter, without
+        return with_scatter, without_scatter
 
     @cached_property
     def scatter(self) -> dict[str, float]:
         """Scatter of each property from test to test: standard deviation of its logarithm."""
-        new, typical = self._new
-        return {name: _log_sd(new[name] / values) for name, values in typical.items()}
+        scattered, typical = self._new
+        return {name: _log_sd(scattered[name] / values) for name, values in typical.items()}
 
     def estimates(self, cycles: int) -> dict[str, Estimate]:
         """What is known of the test after so many cycles of one motion, by name of the property.
@@ -622,17 +629,21 @@ class OnlinePredictor:
             for name, side in zip(self._model.slip_forces, (1.0, -1.0), strict=False):
                 sliding = side * force > 0.5 * np.median(slip)
                 if sliding.any():
-                    off = slip / residual.slip_force * (knots @ functions[sliding].mean(axis=0))
-                    draws[name] = draws[name] - side * off
+                    correction = (
+                        slip / residual.slip_force * (knots @ functions[sliding].mean(axis=0))
+                    )
+                    draws[name] = draws[name] - side * correction
         weights = np.exp(log_weights - log_weights.max())
-        unit_of, known = {**units(self._model), "slip_to_slip": "in"}, {}
-        for name, drawn in draws.items():
-            lower, median, upper = quantiles(drawn, weights, (0.025, 0.5, 0.975))
-            new = self._new[0][name]
-            sds = _log_sd(drawn, weights), _log_sd(new), self.scatter[name]
-            below, narrowing = float(np.mean(new < median)), narrowing_of(*sds, cycles)
-            known[name] = Estimate(name, unit_of[name], median, lower, upper, below, narrowing)
-        return known
+        unit_of, estimates = {**units(self._model), "slip_to_slip": "in"}, {}
+        for name, column in draws.items():
+            lower, median, upper = quantiles(column, weights, (0.025, 0.5, 0.975))
+            new_tests = self._new[0][name]
+            sds = _log_sd(column, weights), _log_sd(new_tests), self.scatter[name]
+            percentile, narrowing = float(np.mean(new_tests < median)), narrowing_of(*sds, cycles)
+            estimates[name] = Estimate(
+                name, unit_of[name], median, lower, upper, percentile, narrowing
+            )
+        return estimates
 
     def band(self, trace: Trace) -> Band:
         """Band of the force in the motion that follows, given all samples so far.
@@ -667,13 +678,15 @@ class OnlinePredictor:
         self._check_actuation(np.nan_to_num(np.asarray(trace.actuation)))
         log_weights, k = self._weights(trusted=True)
         window, samples = (self._first, self._last), self._rows.shape[1]
-        given = ConditioningSummary(window, samples, k, effective_draws(log_weights), self._stages)
+        summary = ConditioningSummary(
+            window, samples, k, effective_draws(log_weights), self._stages
+        )
         actuation = np.broadcast_to(np.asarray(trace.actuation), trace.time.shape)
         planned = np.where(np.isnan(actuation), self._rows[2, -1], actuation)
         future = np.stack([trace.time, trace.displacement, planned, np.zeros(trace.samples)])
         joined = self._trace(np.concatenate([self._rows, self._waiting, future], axis=1))
         p = self._particles.of(systematic(log_weights, self._forecast.draws, self._rng))
-        band = given_band(self._test, p, joined, self._forecast, given, self._rng, trace.samples)
+        band = given_band(self._test, p, joined, self._forecast, summary, self._rng, trace.samples)
         return self.complete(band, joined)
 
 
@@ -712,8 +725,8 @@ class Estimate:
 
 def is_enough(estimates: Mapping[str, Estimate], cycles: int, narrowing: float = NARROWING) -> bool:
     """Whether one more cycle would narrow no property by as much as `narrowing`."""
-    most = max((estimate.narrowing for estimate in estimates.values()), default=0.0)
-    return cycles >= FEWEST_CYCLES and most < narrowing
+    largest = max((estimate.narrowing for estimate in estimates.values()), default=0.0)
+    return cycles >= FEWEST_CYCLES and largest < narrowing
 
 
 def properties(model: Model, values: Mapping[str, Array]) -> dict[str, Array]:
@@ -726,16 +739,16 @@ def properties(model: Model, values: Mapping[str, Array]) -> dict[str, Array]:
     return named if gap is None else {**named, "slip_to_slip": gap}
 
 
-def narrowing_of(sd: float, before: float, scatter: float, cycles: int) -> float:
+def narrowing_of(sd: float, sd_before: float, scatter: float, cycles: int) -> float:
     """Expected narrowing of a property's interval by one more cycle, from sds of its logarithm.
 
     They are what it is known to now, what it was before the test, and from test to test.
     """
     if sd <= 0.0:
         return 0.0
-    each = max(sd**-2.0 - before**-2.0, 0.0) / cycles if before > 0.0 else 0.0
-    after = 1.0 / (sd**-2.0 + each)
-    return float(1.0 - np.sqrt((after + scatter**2) / (sd**2 + scatter**2)))
+    precision_per_cycle = max(sd**-2.0 - sd_before**-2.0, 0.0) / cycles if sd_before > 0.0 else 0.0
+    variance_after = 1.0 / (sd**-2.0 + precision_per_cycle)
+    return float(1.0 - np.sqrt((variance_after + scatter**2) / (sd**2 + scatter**2)))
 
 
 def _log_sd(values: Array, weights: Array | None = None) -> float:
@@ -750,5 +763,5 @@ def quantiles(values: Array, weights: Array, shares: tuple[float, ...]) -> list[
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     middle = (total - 0.5 * weights[order]) / total[-1]
-    found: list[float] = np.interp(shares, middle, values[order]).tolist()
-    return found
+    values_at_shares: list[float] = np.interp(shares, middle, values[order]).tolist()
+    return values_at_shares

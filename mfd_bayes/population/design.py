@@ -51,8 +51,8 @@ class Law:
     @property
     def shapes(self) -> tuple[str, ...]:
         """What is inferred besides the level v(p0): "share", "exponent", both or nothing."""
-        free = {"share": self.share, "exponent": self.exponent}
-        return tuple(name for name, value in free.items() if value is None)
+        exponents = {"share": self.share, "exponent": self.exponent}
+        return tuple(name for name, value in exponents.items() if value is None)
 
     @property
     def intercept(self) -> bool:
@@ -91,11 +91,11 @@ INTERCEPTS = {"sigma0_0": "kip/in"} | {
 
 def default_laws(model: Model | None = None) -> dict[str, str]:
     """Law of every sampled quantity that follows the actuation, of a model or of all ours."""
-    among = models.MODELS.values() if model is None else [model]
-    return {name: law for m in among for name, law in m.laws.items()}
+    candidates = models.MODELS.values() if model is None else [model]
+    return {name: law for m in candidates for name, law in m.laws.items()}
 
 
-def complete_laws(given: Mapping[str, str]) -> dict[str, str]:
+def complete_laws(stated: Mapping[str, str]) -> dict[str, str]:
     """Law of every name that may have one in a campaign: the given one, or the default.
 
     Where a law must be that of another quantity, that is its default.
@@ -103,10 +103,10 @@ def complete_laws(given: Mapping[str, str]) -> dict[str, str]:
     laws: dict[str, str] = {}
     for model in models.MODELS.values():
         for name, default in model.laws.items():
-            other = model.laws_from.get(name, "")
-            laws[name] = given.get(name, laws.get(other, default))
+            source = model.laws_from.get(name, "")
+            laws[name] = stated.get(name, laws.get(source, default))
         for name, followed in model.shared_laws.items():
-            laws[name] = given.get(name, laws[followed])
+            laws[name] = stated.get(name, laws[followed])
     return laws
 
 
@@ -117,9 +117,9 @@ def shapes_of(law: str) -> tuple[str, ...]:
 
 def usual_shapes(law: str) -> tuple[float, float]:
     """Share and exponent of a law; of free ones the medians of their priors."""
-    given = LAWS["residual_power" if law == COMPARE else law]
-    share = 0.5 if given.share is None else given.share
-    return share, EXPONENT[0] if given.exponent is None else given.exponent
+    law_of_name = LAWS["residual_power" if law == COMPARE else law]
+    share = 0.5 if law_of_name.share is None else law_of_name.share
+    return share, EXPONENT[0] if law_of_name.exponent is None else law_of_name.exponent
 
 
 def ratio(relative: Array, share: Array, exponent: Array) -> Array:
@@ -151,8 +151,8 @@ def law_unit(name: str, actuation_unit: str) -> str:
     if name.startswith("K_"):
         return {"ksi": "in^2", "kip": "1"}.get(actuation_unit, f"kip/{_grouped(actuation_unit)}")
     if name == "alpha_sigma0":
-        own = f"kip/in/{_grouped(actuation_unit)}"
-        return {"ksi": "in", "kip": "1/in"}.get(actuation_unit, own)
+        slope_unit = f"kip/in/{_grouped(actuation_unit)}"
+        return {"ksi": "in", "kip": "1/in"}.get(actuation_unit, slope_unit)
     if name in INTERCEPTS:
         return INTERCEPTS[name]
     spread = name.startswith(("scatter_", "deviation_"))
@@ -230,17 +230,19 @@ def planned_setting(
     covariates = {}
     for name, value in planned.items():
         if value is None:
-            found = [s.covariates[name] for s in tested if s.covariates.get(name, 0.0) > 0.0]
-            covariates[name] = geometric_mean(found) if found else 1.0
+            tested_values = [
+                s.covariates[name] for s in tested if s.covariates.get(name, 0.0) > 0.0
+            ]
+            covariates[name] = geometric_mean(tested_values) if tested_values else 1.0
         else:
-            what = f"the planned {name} ({units.get(name, '1')})"
-            covariates[name] = real_number(what, value, FitError, (0.0, np.inf), exclusive=True)
+            label = f"the planned {name} ({units.get(name, '1')})"
+            covariates[name] = real_number(label, value, FitError, (0.0, np.inf), exclusive=True)
     return TestConditions(level, session, covariates)
 
 
-def same_level(actuation: float, other: float) -> bool:
+def same_level(actuation: float, reference: float) -> bool:
     """Whether two actuations are at one level."""
-    return abs(actuation - other) <= SAME_LEVEL * max(actuation, other)
+    return abs(actuation - reference) <= SAME_LEVEL * max(actuation, reference)
 
 
 def levels_of(settings: Sequence[TestConditions]) -> list[list[int]]:
@@ -287,11 +289,11 @@ def folds_beyond(setting: TestConditions, tested: Sequence[TestConditions]) -> t
         stroke, speed = (np.log(s.covariates.get(n) or np.nan) for n in ("amplitude", "velocity"))
         return np.array([stroke, speed, speed - stroke])
 
-    tests, here = np.array([logs(s) for s in tested]), logs(setting)
+    tests, target = np.array([logs(s) for s in tested]), logs(setting)
     lowest, highest = np.fmin.reduce(tests, axis=0), np.fmax.reduce(tests, axis=0)
     # what is not known, of a setting or of all tests, is not outside
-    outside = np.fmax(np.fmax(here - highest, lowest - here), 0.0)
-    return float(outside[0]), float(outside[1:].max())
+    distance = np.fmax(np.fmax(target - highest, lowest - target), 0.0)
+    return float(distance[0]), float(distance[1:].max())
 
 
 @dataclass(frozen=True)
@@ -315,27 +317,27 @@ class Coordinates:
 
     def __post_init__(self) -> None:
         rng, priors = np.random.default_rng(0), [self.priors[name] for name in self.names]
-        drawn = [prior.coordinate(prior.draw(rng, DRAWS)) for prior in priors]
-        q = self._compared(np.stack(drawn, axis=1))
+        samples = [prior.coordinate(prior.draw(rng, DRAWS)) for prior in priors]
+        q = self._compared(np.stack(samples, axis=1))
         object.__setattr__(self, "centre", q.mean(axis=0))
         object.__setattr__(self, "spread", q.std(axis=0))
 
     def _column(self, name: str) -> int | None:
         """Column of a quantity on the positive half line; None where there is none."""
-        there = self.by_name and name in self.names and self.priors[name].on_half_line
-        return self.names.index(name) if there else None
+        is_logarithmic = self.by_name and name in self.names and self.priors[name].on_half_line
+        return self.names.index(name) if is_logarithmic else None
 
-    def _shifts(self, own: Array) -> list[tuple[int, Array]]:
+    def _shifts(self, q: Array) -> list[tuple[int, Array]]:
         """Column of F_c and log of the slip force at `speed` over F_c, (n,), by direction."""
-        found, values = [], {}
+        shifts, values = [], {}
         for side in ("fwd", "bwd"):
             excess, kinetic = f"static_excess_{side}", self._column(f"Fc_{side}")
             if kinetic is not None and {excess, "v_s"} <= set(self.names):
                 for name in ("v_s", excess):
-                    values[name] = self.priors[name].value(own[:, self.names.index(name)])
+                    values[name] = self.priors[name].value(q[:, self.names.index(name)])
                 stribeck = np.exp(-((self.speed / np.maximum(values["v_s"], 1e-12)) ** 2))
-                found.append((kinetic, np.log1p(values[excess] * stribeck)))
-        return found
+                shifts.append((kinetic, np.log1p(values[excess] * stribeck)))
+        return shifts
 
     @cached_property
     def _gap(self) -> tuple[int, int] | None:
@@ -343,28 +345,28 @@ class Coordinates:
         d2, d3 = self._column("d2"), self._column("d3")
         return None if d2 is None or d3 is None else (d2, d3)
 
-    def _compared(self, own: Array) -> Array:
+    def _compared(self, values: Array) -> Array:
         """Compared coordinates, of those of the priors, (n, D)."""
-        q = own.copy()
-        for kinetic, shift in self._shifts(own):
+        q = values.copy()
+        for kinetic, shift in self._shifts(values):
             q[:, kinetic] += shift
         if self._gap:
             d2, d3 = self._gap
-            q[:, d2] = np.logaddexp(own[:, d2], own[:, d3])
-            q[:, d3] = own[:, d3] - own[:, d2]
+            q[:, d2] = np.logaddexp(values[:, d2], values[:, d3])
+            q[:, d3] = values[:, d3] - values[:, d2]
         return q
 
     def of_priors(self, x: Array) -> Array:
         """Coordinates of the priors, (n, D), of x (n, D)."""
         q = self.centre + self.spread * x
-        own = q.copy()
+        shifted = q.copy()
         for kinetic, shift in self._shifts(q):
-            own[:, kinetic] -= shift
+            shifted[:, kinetic] -= shift
         if self._gap:
             d2, d3 = self._gap
-            own[:, d2] = q[:, d2] - np.logaddexp(0.0, q[:, d3])
-            own[:, d3] = own[:, d2] + q[:, d3]
-        return own
+            shifted[:, d2] = q[:, d2] - np.logaddexp(0.0, q[:, d3])
+            shifted[:, d3] = shifted[:, d2] + q[:, d3]
+        return shifted
 
     def values(self, x: Array) -> dict[str, Array]:
         """Quantities at x (n, D), by name, (n,) each, internal units."""
@@ -424,9 +426,9 @@ class Design:
     @cached_property
     def covariates(self) -> dict[str, float]:
         """Geometric mean of each covariate over the tests."""
-        used = {c for those in self.dependence.values() for c in those} - {*CONDITIONS}
-        used |= {"amplitude", "velocity"}
-        values = {c: [s.covariates.get(c, 0.0) for s in self.settings] for c in sorted(used)}
+        names = {c for covariates in self.dependence.values() for c in covariates} - {*CONDITIONS}
+        names |= {"amplitude", "velocity"}
+        values = {c: [s.covariates.get(c, 0.0) for s in self.settings] for c in sorted(names)}
         return {c: geometric_mean(v) for c, v in values.items() if min(v) > 0}
 
     @cached_property
@@ -455,44 +457,50 @@ class Design:
         A law without an intercept says nothing of a test at zero actuation: there the quantity has
         the prior of a test by itself.
         """
-        found = np.ones((len(self.settings), len(self.names)), dtype=bool)
+        informative = np.ones((len(self.settings), len(self.names)), dtype=bool)
         zero = [s.actuation == 0 for s in self.settings]
         for name, law in self.laws.items():
-            if not all(LAWS[one].intercept for one in self.considered(law)):
-                found[zero, self.names.index(name)] = False
-        return found
+            if not all(LAWS[law_name].intercept for law_name in self.considered(law)):
+                informative[zero, self.names.index(name)] = False
+        return informative
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
         """Effects of levels on what has a law, of sessions and devices on all that has scatter."""
         followers = [self.names.index(n) for n in self.laws] if self.leveled else []
-        free, found = self.free.tolist(), []
+        free_indices, effects = self.free.tolist(), []
         for name, quantities, homes, wider in (
             ("level", followers, self.cells, WIDER),
-            ("session", free, self.sessions, 1.0),
-            ("device", free, self.devices, 1.0),
+            ("session", free_indices, self.sessions, 1.0),
+            ("device", free_indices, self.devices, 1.0),
         ):
             members: dict[str, list[int]] = {}
             for k in quantities:
-                those = [self.settings[j] for j in np.flatnonzero(self.informs[:, k])]
+                informative = [self.settings[j] for j in np.flatnonzero(self.informs[:, k])]
                 count = len(
-                    levels_of(those) if name == "level" else {getattr(s, name) for s in those}
+                    levels_of(informative)
+                    if name == "level"
+                    else {getattr(s, name) for s in informative}
                 )
                 if count >= (LEVELS if name == "level" else 2):
                     members.setdefault(self.groups[self.names[k]], []).append(k)
-            for group, own in members.items():
-                scale = wider * float(self.scatter_sd[own[0]])
-                found.append(Effect(name, group, tuple(own), homes, scale))
-        return tuple(found)
+            for group, columns in members.items():
+                scale = wider * float(self.scatter_sd[columns[0]])
+                effects.append(Effect(name, group, tuple(columns), homes, scale))
+        return tuple(effects)
 
     @cached_property
     def _columns(self) -> Index:
         """Quantity and effect (-1 for none) of each linear coefficient, (2, Z)."""
-        found = [(k, -1) for k in range(len(self.names))]
-        found += [(self.names.index(n), -1) for n, those in self.dependence.items() for _ in those]
+        pairs = [(k, -1) for k in range(len(self.names))]
+        pairs += [
+            (self.names.index(n), -1)
+            for n, covariates in self.dependence.items()
+            for _ in covariates
+        ]
         for e, effect in enumerate(self.effects):
-            found += [(k, e) for k in effect.members for _ in effect.homes]
-        return np.array(found).T
+            pairs += [(k, e) for k in effect.members for _ in effect.homes]
+        return np.array(pairs).T
 
     @property
     def quantity(self) -> Index:
@@ -509,7 +517,7 @@ class Design:
         """Prior sd of the linear coefficients that are no effects: levels and slopes."""
         sd = np.full(np.count_nonzero(self._columns[1] < 0), SENSITIVITY)
         sd[: len(self.names)] = 1.0
-        pairs = [c for those in self.dependence.values() for c in those]
+        pairs = [c for covariates in self.dependence.values() for c in covariates]
         sd[len(self.names) :][[c in CONDITIONS for c in pairs]] = DRIFT
         return sd
 
@@ -520,9 +528,9 @@ class Design:
         temperature.
         """
         values = np.array([s.covariates[covariate] for s in self.settings])
-        usual = values.mean() if covariate == "temperature" else values.max()
-        here = setting.covariates.get(covariate, usual)
-        return float((here - values.mean()) / (np.ptp(values) or 1.0))
+        default = values.mean() if covariate == "temperature" else values.max()
+        value = setting.covariates.get(covariate, default)
+        return float((value - values.mean()) / (np.ptp(values) or 1.0))
 
     @property
     def free(self) -> Index:
@@ -543,23 +551,23 @@ class Design:
 
     def cell_of(self, setting: TestConditions) -> Cell:
         """Session, and the actuation of calibrated tests at the setting's level, if any."""
-        near = [s.actuation for s in self.settings if same_level(s.actuation, setting.actuation)]
-        return setting.session, near[0] if near else setting.actuation
+        levels = [s.actuation for s in self.settings if same_level(s.actuation, setting.actuation)]
+        return setting.session, levels[0] if levels else setting.actuation
 
-    def level_covariance(self, one: Sequence[Cell], two: Sequence[Cell]) -> Array:
+    def level_covariance(self, rows: Sequence[Cell], other_cells: Sequence[Cell]) -> Array:
         """Covariance of a level's effect between cells, for an sd of 1 at the reference.
 
         Matérn 3/2 over the logarithm of the actuation, within a session; zero actuation is far from
         all others.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
-            logs = [np.log([actuation for _, actuation in cells]) for cells in (one, two)]
-            apart = np.abs(np.subtract.outer(*logs))
+            logs = [np.log([actuation for _, actuation in cells]) for cells in (rows, other_cells)]
+            distance = np.abs(np.subtract.outer(*logs))
             sizes = [np.clip(self.reference / np.exp(log), *BOUNDS) for log in logs]
-        apart[np.isnan(apart)] = 0.0  # zero and zero
-        r = np.minimum(np.sqrt(3.0) * apart / ALIKE, 1e3)
-        same = np.array([[a[0] == b[0] for b in two] for a in one])
-        return np.asarray(np.outer(*sizes) * same * (1.0 + r) * np.exp(-r))
+        distance[np.isnan(distance)] = 0.0  # zero and zero
+        r = np.minimum(np.sqrt(3.0) * distance / ALIKE, 1e3)
+        same_session = np.array([[a[0] == b[0] for b in other_cells] for a in rows])
+        return np.asarray(np.outer(*sizes) * same_session * (1.0 + r) * np.exp(-r))
 
     def krige(self, session: str, actuations: ArrayLike) -> tuple[Array, Array]:
         """Level effects of a session at actuations (m,) given those of the tests' cells (kriging).
@@ -568,72 +576,74 @@ class Design:
         """
         levels = np.atleast_1d(actuations)
         cells = [self.cell_of(TestConditions(float(level), session)) for level in levels]
-        own = self.level_covariance(self.cells, self.cells) + 1e-9 * np.eye(len(self.cells))
+        covariance = self.level_covariance(self.cells, self.cells) + 1e-9 * np.eye(len(self.cells))
         across = self.level_covariance(cells, self.cells)
-        weights = np.asarray(np.linalg.solve(own, across.T).T)
+        weights = np.asarray(np.linalg.solve(covariance, across.T).T)
         for i, cell in enumerate(cells):
             if cell in self.cells:
                 weights[i] = np.eye(len(self.cells))[self.cells.index(cell)]
-        rest = self.level_covariance(cells, cells) - weights @ across.T
+        remainder = self.level_covariance(cells, cells) - weights @ across.T
         tested = np.array([cell in self.cells for cell in cells])
-        rest[tested], rest[:, tested] = 0.0, 0.0
-        return weights, 0.5 * (rest + rest.T)
+        remainder[tested], remainder[:, tested] = 0.0, 0.0
+        return weights, 0.5 * (remainder + remainder.T)
 
     def row(self, setting: TestConditions, *, level_effects: bool = True) -> Array:
         """Weights of the linear coefficients z under a setting, (Z,), of a tested level or none."""
-        parts: list[Array] = [np.ones(len(self.names))]
-        for name, those in self.dependence.items():
-            for c in those:
+        blocks: list[Array] = [np.ones(len(self.names))]
+        for name, covariates in self.dependence.items():
+            for c in covariates:
                 spread = self.spread[self.names.index(name)]
                 if c in CONDITIONS:
-                    parts.append(np.array([self.changed(c, setting) / spread]))
+                    blocks.append(np.array([self.changed(c, setting) / spread]))
                     continue
-                among = [s.covariates[c] for s in self.settings]
-                within = np.clip(setting.covariates[c], min(among), max(among))
-                parts.append(np.array([np.log(within / self.covariates[c]) / spread]))
+                tested_values = [s.covariates[c] for s in self.settings]
+                clipped = np.clip(setting.covariates[c], min(tested_values), max(tested_values))
+                blocks.append(np.array([np.log(clipped / self.covariates[c]) / spread]))
         for effect in self.effects:
-            there = level_effects or effect.name != "level"
-            home = self.home(effect.name, setting) if there else None
-            weights = np.array([float(home == one) for one in effect.homes])
-            parts += [weights / self.spread[k] for k in effect.members]
-        return np.concatenate(parts)
+            applies = level_effects or effect.name != "level"
+            group = self.home(effect.name, setting) if applies else None
+            weights = np.array([float(group == group_name) for group_name in effect.homes])
+            blocks += [weights / self.spread[k] for k in effect.members]
+        return np.concatenate(blocks)
 
     def linear(self, z: Array, rows: Array) -> Array:
         """Levels, slopes and effects A z of coefficients (n, Z) and rows (m, Z), (n, m, d)."""
-        found, quantity = np.zeros((len(z), len(rows), len(self.names))), self.quantity
+        values, quantity = np.zeros((len(z), len(rows), len(self.names))), self.quantity
         for k in range(len(self.names)):
-            own = quantity == k
-            found[..., k] = z[:, own] @ rows[:, own].T
-        return found
+            columns = quantity == k
+            values[..., k] = z[:, columns] @ rows[:, columns].T
+        return values
 
     def law_shapes(self, q: Array, choice: Index) -> tuple[Array, Array]:
         """Share and exponent of each law, (n, L) each.
 
         They are of the coordinates of `shapes` (n, S), and of numbers of laws, (L,) or (n, L).
         """
-        found: list[Array] = []
+        shapes: list[Array] = []
         for shape in ("share", "exponent"):
-            given = np.array([getattr(LAWS[law], shape) for law in LAW_NAMES], dtype=np.float64)
-            value: Array = given[np.broadcast_to(choice, (len(q), choice.shape[-1]))]
+            defaults = np.array([getattr(LAWS[law], shape) for law in LAW_NAMES], dtype=np.float64)
+            value: Array = defaults[np.broadcast_to(choice, (len(q), choice.shape[-1]))]
             # NaN where it is inferred
             for column, name in enumerate(self.laws):
                 if (name, shape) in self.shapes:
-                    drawn = q[:, self.shapes.index((name, shape))]
-                    drawn = expit(drawn) if shape == "share" else drawn
-                    value[:, column] = np.where(np.isnan(value[:, column]), drawn, value[:, column])
-            found.append(value)
-        share, exponent = found
+                    values = q[:, self.shapes.index((name, shape))]
+                    values = expit(values) if shape == "share" else values
+                    value[:, column] = np.where(
+                        np.isnan(value[:, column]), values, value[:, column]
+                    )
+            shapes.append(value)
+        share, exponent = shapes
         return share, exponent
 
     def offsets(self, share: Array, exponent: Array, actuation: Array) -> Array:
         """Laws (n, L) in prior units at actuations (m,), (n, m, d)."""
-        found = np.zeros((len(share), actuation.size, len(self.names)))
+        offsets = np.zeros((len(share), actuation.size, len(self.names)))
         for column, name in enumerate(self.laws):
             k = self.names.index(name)
             shape = share[:, [column]], exponent[:, [column]]
             followed = ratio(actuation / self.reference, *shape)
-            found[..., k] = np.log(np.maximum(followed, 1e-300)) / self.spread[k]
-        return found
+            offsets[..., k] = np.log(np.maximum(followed, 1e-300)) / self.spread[k]
+        return offsets
 
 
 def design_of(
@@ -649,35 +659,37 @@ def design_of(
     `names` are the quantities of the tests, and the shapes, such as "exponent_Fc_fwd", that tests
     have to themselves along a changing actuation. The laws are the paper's where none are given.
     """
-    quantities, usual = known_quantities(model), default_laws(model)
-    shapes = {f"{shape}_{law}": shape for law in usual for shape in ("share", "exponent")}
+    quantities, defaults = known_quantities(model), default_laws(model)
+    shapes = {f"{shape}_{law}": shape for law in defaults for shape in ("share", "exponent")}
     pooled = (n for n in names if n not in shapes)
     shared = tuple(n for n in pooled if n not in quantities or quantities[n].pooled)
-    chosen = {n: law for n, law in (usual | dict(laws or {})).items() if n in shared}
-    for name in chosen:
+    chosen_laws = {n: law for n, law in (defaults | dict(laws or {})).items() if n in shared}
+    for name in chosen_laws:
         if priors.parameters[name].lower != 0.0 or np.isfinite(priors.parameters[name].upper):
             raise FitError(f"a law for {name} needs a prior on the positive half line")
-    home = {name: group for group, s in priors.scatter.items() for name in s.parameters}
+    group_of = {name: group for group, s in priors.scatter.items() for name in s.parameters}
     for name in shared:
-        if name not in home:
+        if name not in group_of:
             raise PriorError(f"prior file {priors.path.name} has no [scatter] group with {name}")
     settings = with_zeros(settings)
     speeds = [s.covariates.get("velocity", 0.0) for s in settings]
     speed = geometric_mean([v for v in speeds if v > 0] or [1.0])
     everything = (*shared, *(n for n in names if n == "start" or n in shapes))
-    each = {n: shape_prior(shapes[n]) if n in shapes else priors.parameters[n] for n in everything}
+    prior_of = {
+        n: shape_prior(shapes[n]) if n in shapes else priors.parameters[n] for n in everything
+    }
     coordinates = Coordinates(
-        everything, each, USUAL_SPEED * speed, model is None or bool(model.standard_names)
+        everything, prior_of, USUAL_SPEED * speed, model is None or bool(model.standard_names)
     )
     return Design(
         names=shared,
         coordinates=coordinates,
         spread=coordinates.spread[: len(shared)],
-        laws=chosen,
+        laws=chosen_laws,
         dependence={n: tuple(c) for n, c in (dependence or {}).items() if n in shared and c},
         settings=settings,
-        groups={n: home[n] for n in shared},
-        scatter_sd=np.array([priors.scatter[home[n]].sd for n in shared]),
-        common=np.array([priors.scatter[home[n]].sparse for n in shared]),
+        groups={n: group_of[n] for n in shared},
+        scatter_sd=np.array([priors.scatter[group_of[n]].sd for n in shared]),
+        common=np.array([priors.scatter[group_of[n]].sparse for n in shared]),
         reference=geometric_mean([s.actuation for s in settings if s.actuation > 0]),
     )

@@ -141,9 +141,9 @@ class ExactSampler:
 
     def _excess(self, x: Array) -> Array:
         """Exact less approximate log density of each test, (n, J)."""
-        away = x - self.fit.mean
+        distance = x - self.fit.mean
         pairs = "nja,jab,njb->nj"
-        gaussian = -0.5 * np.einsum(pairs, away, self.fit.precision, away, optimize=True)
+        gaussian = -0.5 * np.einsum(pairs, distance, self.fit.precision, distance, optimize=True)
         exact = self.evaluate((j, np.ascontiguousarray(x[:, j])) for j in range(x.shape[1]))
         excess = np.stack(list(exact), axis=1) - gaussian
         for j, unpooled in enumerate(self.unpooled):
@@ -192,13 +192,13 @@ class ExactSampler:
         """Standard normal numbers near others."""
         return np.sqrt(1.0 - beta**2) * e + beta * self.rng.standard_normal(e.shape)
 
-    def _keep(self, state: ChainState, new: ChainState) -> None:
+    def _keep(self, state: ChainState, proposal: ChainState) -> None:
         """Keep a proposal for the next fit."""
         if self.warming_up:
-            possible = np.isfinite(new.excess)
-            excess = np.where(possible, new.excess, 0.0)
+            possible = np.isfinite(proposal.excess)
+            excess = np.where(possible, proposal.excess, 0.0)
             share = np.exp(np.minimum(excess - state.excess, 0.0)) * possible
-            self.proposals.append((new.x, excess, share))
+            self.proposals.append((proposal.x, excess, share))
 
     def refit(self, x: Array, excess: Array, weight: Array) -> None:
         """Take other Gaussian likelihoods of the tests, and go on from where the chains are.
@@ -206,10 +206,10 @@ class ExactSampler:
         Least squares on draws x (m, J, D) of the posterior: what the exact log densities have over
         the Gaussian ones, `excess` (m, J), is a quadratic form (response surface).
         """
-        old, size = self.fit, x.shape[-1]
-        mean, precision = old.mean.copy(), old.precision.copy()
+        fit, size = self.fit, x.shape[-1]
+        mean, precision = fit.mean.copy(), fit.precision.copy()
         i, k = np.triu_indices(size)
-        for j, p in enumerate(old.precision):
+        for j, p in enumerate(fit.precision):
             w = weight[:, j]
             centre = np.average(x[:, j], axis=0, weights=w)
             spread = np.cov(x[:, j].T, aweights=w)
@@ -225,11 +225,11 @@ class ExactSampler:
             inner = root.T @ p @ root - quadratic - quadratic.T
             values, vectors = np.linalg.eigh(inner)
             values = np.maximum(values, LEAST)
-            pull = root.T @ p @ (old.mean[j] - centre) + linear
+            pull = root.T @ p @ (fit.mean[j] - centre) + linear
             mean[j] = centre + root @ (vectors / values) @ vectors.T @ pull
             outer = np.linalg.solve(root.T, vectors)
             precision[j] = (outer * values) @ outer.T
-        self.fit = replace(old, mean=mean, precision=precision)
+        self.fit = replace(fit, mean=mean, precision=precision)
         self.mixed, self.pool = self.approximate(self.fit)
         self.state = self.state._replace(excess=self._excess(self.state.x))
 
@@ -241,21 +241,23 @@ class ExactSampler:
         shapes = [names.index(name) in mixed.free for name, _ in mixed.design.shapes]
         log = self._log_given_tests(h, s.z, without_law)
         for i in np.flatnonzero([*[True] * v, *shapes]).tolist():
-            new = h.copy()
-            new[:, i] += RANDOM_WALK * rng.standard_normal(len(h)) * (1.0 if i < v else 0.3)
-            other = self._log_given_tests(new, s.z, without_law)
-            accepted = np.log(rng.random(len(h))) < other - log
-            h[accepted], log[accepted] = new[accepted], other[accepted]
-        left = s.x[..., : self.d] - mixed.offsets(h, self.choice)
+            moved = h.copy()
+            moved[:, i] += RANDOM_WALK * rng.standard_normal(len(h)) * (1.0 if i < v else 0.3)
+            log_moved = self._log_given_tests(moved, s.z, without_law)
+            accepted = np.log(rng.random(len(h))) < log_moved - log
+            h[accepted], log[accepted] = moved[accepted], log_moved[accepted]
+        residual = s.x[..., : self.d] - mixed.offsets(h, self.choice)
         pooled = mixed.weight * ~self.unpooled[:, mixed.free]
-        z = mixed.draw_given_tests(h, left, pooled, s.z, rng)
+        z = mixed.draw_given_tests(h, residual, pooled, s.z, rng)
         self.state = s._replace(h=h, z=z)
 
     def _log_given_tests(self, h: Array, z: Array, without_law: Array) -> Array:
         """Log density of h given z and the tests' coordinates, (n,)."""
-        mixed, free, sd = self.mixed, self.mixed.free, self._sd(h)
-        away = (without_law - mixed.offsets(h, self.choice))[..., free]
-        terms = np.where(self.unpooled[:, free], 0.0, -0.5 * (away / sd) ** 2 - np.log(sd))
+        mixed, free_indices, sd = self.mixed, self.mixed.free, self._sd(h)
+        distance = (without_law - mixed.offsets(h, self.choice))[..., free_indices]
+        terms = np.where(
+            self.unpooled[:, free_indices], 0.0, -0.5 * (distance / sd) ** 2 - np.log(sd)
+        )
         total = mixed.log_prior(h) + terms.sum(axis=(1, 2))
         total += np.where(np.all(np.abs(h) < LARGEST, axis=1), 0.0, -np.inf)
         omega = mixed.omega(h)
@@ -270,15 +272,15 @@ class ExactSampler:
         r_hat: float,
         ess: float,
         limit: int,
-        kept: int,
+        n_kept: int,
         report: Callable[[int, Convergence], None],
     ) -> PopulationDraws:
-        """Sweep until targets or limit are reached; `kept` draws of each group are kept."""
+        """Sweep until targets or limit are reached; `n_kept` draws of each group are kept."""
         for step in range(1, (REFITS + 1) * WARM_UP + 1):
             self.sweep()
             if step % WARM_UP == 0 and step <= REFITS * WARM_UP:
                 proposals = self.proposals[len(self.proposals) // 4 :]
-                self.refit(*(np.concatenate(part) for part in zip(*proposals, strict=True)))
+                self.refit(*(np.concatenate(block) for block in zip(*proposals, strict=True)))
             if step % WARM_UP == 0:
                 self.proposals = []
         self.warming_up = False
@@ -293,19 +295,19 @@ class ExactSampler:
                 if (len(h) - 1) % stride == 0:
                     x.append(np.asarray(self.state.x, dtype=np.float32))
             # of the coordinates of h and of the levels, across groups of chains
-            every = np.concatenate([np.array(h), np.array(z)[..., : self.d]], axis=2)
-            grouped = every.reshape(len(h), CHAINS, every.shape[1] // CHAINS, -1)
-            found = measure(np.swapaxes(grouped, 0, 1))
-            report(len(h), found)
-            if found.reached(r_hat, ess) or len(h) >= limit:
+            columns = np.concatenate([np.array(h), np.array(z)[..., : self.d]], axis=2)
+            grouped = columns.reshape(len(h), CHAINS, columns.shape[1] // CHAINS, -1)
+            convergence = measure(np.swapaxes(grouped, 0, 1))
+            report(len(h), convergence)
+            if convergence.reached(r_hat, ess) or len(h) >= limit:
                 break
-        most = max(1, min(len(x), kept // (len(self.choice) // CHAINS)))
-        steps = np.linspace(0, len(x) - 1, most).astype(int)
+        n_states = max(1, min(len(x), n_kept // (len(self.choice) // CHAINS)))
+        steps = np.linspace(0, len(x) - 1, n_states).astype(int)
 
         def by_chain(history: Sequence[NDArray[Any]]) -> Array:
-            some = np.stack([history[t] for t in steps], axis=1).astype(np.float64)
-            return some.reshape(CHAINS, -1, *some.shape[2:])
+            states = np.stack([history[t] for t in steps], axis=1).astype(np.float64)
+            return states.reshape(CHAINS, -1, *states.shape[2:])
 
         tests, together = (float(np.mean(r)) for r in zip(*self.rates, strict=True))
         kept_draws = by_chain(h[::stride]), by_chain(z[::stride]), by_chain(x)
-        return PopulationDraws(*kept_draws, found, len(h), (tests, together))
+        return PopulationDraws(*kept_draws, convergence, len(h), (tests, together))

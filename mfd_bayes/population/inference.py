@@ -116,8 +116,8 @@ class Inference:
     def values(self, j: int) -> dict[str, Array]:
         """Quantities of test j with the others, by name, (chain, draw)."""
         x = self.tests[:, :, j]
-        found = self.population.design.coordinates.values(x.reshape(-1, x.shape[-1]))
-        return {name: value.reshape(x.shape[:2]) for name, value in found.items()}
+        values = self.population.design.coordinates.values(x.reshape(-1, x.shape[-1]))
+        return {name: value.reshape(x.shape[:2]) for name, value in values.items()}
 
 
 def infer_population(
@@ -144,12 +144,17 @@ def _inferred(
 
     # Gaussians of the tests near the joint mode; what a test has to itself is integrated out
     medians = [test.intervals or intervals_of(test.stored.values()) for test in tests.values()]
-    start = [coordinates.of({k: np.array([v[0]]) for k, v in each.items()}) for each in medians]
+    start = [
+        coordinates.of({k: np.array([v[0]]) for k, v in medians_of_test.items()})
+        for medians_of_test in medians
+    ]
     unpooled = np.ones((len(likelihoods), len(coordinates.names)), dtype=bool)
     unpooled[:, :d] = ~design.informs
     common = np.zeros(len(coordinates.names), dtype=bool)
     common[:d] = design.common
-    with several_processes([one.linearised for one in likelihoods], settings.jobs) as evaluate:
+    with several_processes(
+        [likelihood.linearised for likelihood in likelihoods], settings.jobs
+    ) as evaluate:
         begin = np.clip(np.concatenate(start), -6.0, 6.0)
         fit = fit_jointly(likelihoods, begin, common, evaluate)
     mixed = MixedModel(design, *gaussians_of(fit, unpooled, d))
@@ -167,30 +172,32 @@ def _inferred(
     kinds, kind = np.unique(choice, axis=0, return_inverse=True)
 
     def approximate(fit: JointFit) -> tuple[MixedModel, list[Array]]:
-        under = MixedModel(design, *gaussians_of(fit, unpooled, d), mixed.weight)
-        under.adapted = mixed.adapted  # the next fit is near the last one
-        pools = [under.sample(one, rng, POOL) for one in kinds]
-        return under, [pools[k] for k in kind.ravel()]
+        mixed_model = MixedModel(design, *gaussians_of(fit, unpooled, d), mixed.weight)
+        mixed_model.adapted = mixed.adapted  # the next fit is near the last one
+        pools = [mixed_model.sample(likelihood, rng, POOL) for likelihood in kinds]
+        return mixed_model, [pools[k] for k in kind.ravel()]
 
     began, limit = time.perf_counter(), SWEEPS.get(effort.name, 2000)
 
-    def tell(sweeps: int, found: Convergence) -> None:
+    def tell(sweeps: int, convergence: Convergence) -> None:
         seconds = time.perf_counter() - began
-        share = found.share(effort.r_hat, effort.ess)
-        worst = found.worst_r_hat, found.worst_ess
+        share = convergence.share(effort.r_hat, effort.ess)
+        worst = convergence.worst_r_hat, convergence.worst_ess
         report(Progress(sweeps, max(limit, sweeps), *worst, seconds, share))
 
-    with several_processes([one.log_likelihood for one in fit.tests], settings.jobs) as evaluate:
+    with several_processes(
+        [likelihood.log_likelihood for likelihood in fit.tests], settings.jobs
+    ) as evaluate:
         sampler = ExactSampler(fit, approximate, unpooled, choice, rng, evaluate)
         draws = sampler.run(effort.r_hat, effort.ess, limit, effort.kept // 4, tell)
 
     # the population
     shape, v = draws.h.shape[:2], mixed.f + mixed.e
-    chosen = np.repeat(choice.reshape(CHAINS, walkers, -1), shape[1] // walkers, axis=1)
-    drawn = mixed.shapes(
-        draws.h.reshape(-1, mixed.dim), chosen.reshape(draws.h[..., 0].size, len(design.laws))
+    laws = np.repeat(choice.reshape(CHAINS, walkers, -1), shape[1] // walkers, axis=1)
+    shapes = mixed.shapes(
+        draws.h.reshape(-1, mixed.dim), laws.reshape(draws.h[..., 0].size, len(design.laws))
     )
-    share, exponent = (part.reshape(chosen.shape) for part in drawn)
+    share, exponent = (values.reshape(laws.shape) for values in shapes)
     posterior = likelihoods[0].posterior
     slips = [n for n in design.laws if n not in {"sigma0"} & posterior.model.standard_names]
     alternatives, alternative_weight = _alternatives(mixed, slips, weights, gaussians, rng)
@@ -200,7 +207,7 @@ def _inferred(
     population = Population(
         design=design,
         draws=LawDraws(draws.h[..., :v], draws.z, share, exponent),
-        choice=chosen,
+        choice=laws,
         law_weights=weights,
         alternatives=alternatives,
         alternative_weight=alternative_weight,
@@ -221,35 +228,37 @@ def _likelihoods(
     tests: Mapping[str, TestResult], priors: PriorFile, settings: InferenceSettings
 ) -> tuple[Design, list[TestLikelihood]]:
     """Design of the population, and likelihoods of the tests without discrepancy."""
-    some = next(iter(tests.values())).posterior
-    model = some.model
-    under = [settings.setting(name, test.trace) for name, test in tests.items()]
-    noise = set(some.noise.parameters) - {"noise_sd"}
-    names = [name for name in some.names if name not in noise]
+    first_posterior = next(iter(tests.values())).posterior
+    model = first_posterior.model
+    settings_of_tests = [settings.setting(name, test.trace) for name, test in tests.items()]
+    noise = set(first_posterior.noise.parameters) - {"noise_sd"}
+    names = [name for name in first_posterior.names if name not in noise]
     slips = [name for name in model.slip_forces if name in names]
     # slip forces follow the stroke, if it varies: no friction model here knows of it
-    stroke = len(under) >= TESTS and varies(under, "amplitude")
+    stroke = len(settings_of_tests) >= TESTS and varies(settings_of_tests, "amplitude")
     dependence: dict[str, Sequence[str]] = dict.fromkeys(slips, ("amplitude",)) if stroke else {}
-    for name, those in settings.dependence.items():
-        usual = () if {*those} - {*CONDITIONS} else dependence.get(name, ())
-        dependence[name] = (*usual, *those)
-    design = design_of(priors, names, under, settings.laws, dependence, model)
+    for name, covariates in settings.dependence.items():
+        default = () if {*covariates} - {*CONDITIONS} else dependence.get(name, ())
+        dependence[name] = (*default, *covariates)
+    design = design_of(priors, names, settings_of_tests, settings.laws, dependence, model)
     changing = [actuation_varies(design, model, test.trace) for test in tests.values()]
     if any(changing):
         # a test need not follow the law that others tell: it has shapes to itself
         shapes = [f"{s}_{n}" for n in slips for s in ("share", "exponent")]
-        every = [*names, *shapes]
-        design = design_of(priors, every, under, settings.laws, dependence, model)
+        coordinate_names = [*names, *shapes]
+        design = design_of(
+            priors, coordinate_names, settings_of_tests, settings.laws, dependence, model
+        )
     followed = {n: n for n in design.laws if n in model.parameters}
     followed |= {n: o for n, o in model.shared_laws.items() if o in followed}
     laws = {n: (o, *usual_shapes(design.laws[o])) for n, o in followed.items()}
-    found = []
+    likelihoods = []
     for test, changes in zip(tests.values(), changing, strict=True):
         initial, trace = "discard" if test.posterior.first else "sample", test.trace
         posterior = Posterior(trace, priors, "iid", model, initial=initial)
         relative = np.asarray(trace.actuation) / trace.reference_actuation if changes else None
-        found.append(TestLikelihood(posterior, design.coordinates, relative, laws))
-    return design, found
+        likelihoods.append(TestLikelihood(posterior, design.coordinates, relative, laws))
+    return design, likelihoods
 
 
 def actuation_varies(design: Design, model: Model, trace: Trace) -> bool:
@@ -267,13 +276,13 @@ def gaussians_of(fit: JointFit, unpooled: NDArray[np.bool_], d: int) -> tuple[Ar
     What is unpooled is integrated over N(0, 1), and has no precision.
     """
     y, precision = np.zeros((len(unpooled), d)), np.zeros((len(unpooled), d, d))
-    for j, (mean, p, out) in enumerate(zip(fit.mean, fit.precision, unpooled, strict=True)):
-        kept, rest = np.flatnonzero(~out), np.flatnonzero(out)
-        across, pull = p[np.ix_(rest, kept)], p @ mean
-        gain = np.linalg.solve(p[np.ix_(rest, rest)] + np.eye(rest.size), across).T
-        reduced = p[np.ix_(kept, kept)] - gain @ across
-        y[j, kept] = np.linalg.solve(reduced, pull[kept] - gain @ pull[rest])
-        precision[j][np.ix_(kept, kept)] = 0.5 * (reduced + reduced.T)
+    for j, (mean, p, is_unpooled) in enumerate(zip(fit.mean, fit.precision, unpooled, strict=True)):
+        pooled, local = np.flatnonzero(~is_unpooled), np.flatnonzero(is_unpooled)
+        across, pull = p[np.ix_(local, pooled)], p @ mean
+        gain = np.linalg.solve(p[np.ix_(local, local)] + np.eye(local.size), across).T
+        reduced = p[np.ix_(pooled, pooled)] - gain @ across
+        y[j, pooled] = np.linalg.solve(reduced, pull[pooled] - gain @ pull[local])
+        precision[j][np.ix_(pooled, pooled)] = 0.5 * (reduced + reduced.T)
     return y, precision
 
 
@@ -282,18 +291,18 @@ def _weights(design: Design, name: str, scores: Sequence[LawScore]) -> dict[str,
     laws = design.considered(design.laws[name])
     if len(laws) == 1:
         return {laws[0]: 1.0}
-    found = {s.law: float(s.weight) for s in scores if s.quantity == name}
-    return found if any(found.values()) else dict.fromkeys(laws, 1.0 / len(laws))
+    weight_of = {s.law: float(s.weight) for s in scores if s.quantity == name}
+    return weight_of if any(weight_of.values()) else dict.fromkeys(laws, 1.0 / len(laws))
 
 
 def _choices(design: Design, weights: Mapping[str, Mapping[str, float]], n: int) -> Index:
     """Numbers of the laws of n chains in proportion to the weights, (n, L); no random numbers."""
     choice = np.zeros((n, len(design.laws)), dtype=np.intp)
     for column, name in enumerate(design.laws):
-        edges = np.cumsum([weights[name].get(one, 0.0) for one in LAW_NAMES])
+        edges = np.cumsum([weights[name].get(law, 0.0) for law in LAW_NAMES])
         # a low-discrepancy sequence for each quantity, so that their laws are independent
-        place = (0.5 + np.arange(n) * np.sqrt(_PRIMES[column % len(_PRIMES)])) % 1.0
-        choice[:, column] = np.searchsorted(edges / edges[-1], place, side="right")
+        points = (0.5 + np.arange(n) * np.sqrt(_PRIMES[column % len(_PRIMES)])) % 1.0
+        choice[:, column] = np.searchsorted(edges / edges[-1], points, side="right")
     return choice
 
 
@@ -306,49 +315,51 @@ def _alternatives(
 ) -> tuple[LawDraws, Array]:
     """Draws under all laws, for actuations beyond the tested levels, and their weights."""
     design = mixed.design
-    many = len(levels_of([s for s in design.settings if s.actuation > 0])) >= LEVELS
-    considered = design.considered(COMPARE) if many else ("affine", "power")
+    several_levels = len(levels_of([s for s in design.settings if s.actuation > 0])) >= LEVELS
+    considered = design.considered(COMPARE) if several_levels else ("affine", "power")
     named = [design.laws[n] for n in slips if design.laws[n] != COMPARE]
     laws = {
         law: replace(design, laws={**design.laws, **dict.fromkeys(slips, law)})
         for law in dict.fromkeys([*named, *considered])
     }
     # a test without actuation informs some laws alone, so that these have other effects of levels
-    sizes = {law: under.quantity.size for law, under in laws.items()}
+    sizes = {law: design_of_law.quantity.size for law, design_of_law in laws.items()}
     size = design.quantity.size if design.quantity.size in sizes.values() else max(sizes.values())
     usable = [law for law in laws if sizes[law] == size]
-    found, weight = [], []
+    draws, weight = [], []
     for law, w in zip(usable, extrapolation_weights(gaussians, slips, usable), strict=True):
         if w == 0.0:
             continue
-        under = laws[law]
-        other = MixedModel(under, mixed.y, mixed.p, mixed.weight)
-        choice = _choices(under, {**weights, **{n: {law: 1.0} for n in slips}}, 1)[0]
+        design_of_law = laws[law]
+        mixed_model = MixedModel(design_of_law, mixed.y, mixed.p, mixed.weight)
+        choice = _choices(design_of_law, {**weights, **{n: {law: 1.0} for n in slips}}, 1)[0]
         n = max(int(np.ceil(ALTERNATIVES * w)), 20)
-        mode, root = other.laplace(choice)
-        h = other.from_standard_normal(mode + rng.standard_normal((n, other.dim)) @ root.T)
-        few = np.array_split(h, max(n // 32, 1))  # to bound the memory
-        z = np.concatenate([other.marginal(part, choice)[1].draw(rng) for part in few])
-        found.append((h[:, : other.f + other.e], z, *other.shapes(h, choice)))
+        mode, root = mixed_model.laplace(choice)
+        h = mixed_model.from_standard_normal(
+            mode + rng.standard_normal((n, mixed_model.dim)) @ root.T
+        )
+        blocks = np.array_split(h, max(n // 32, 1))  # to bound the memory
+        z = np.concatenate([mixed_model.marginal(block, choice)[1].draw(rng) for block in blocks])
+        draws.append((h[:, : mixed_model.f + mixed_model.e], z, *mixed_model.shapes(h, choice)))
         weight.append(np.full(n, w / n))
-    return LawDraws(*map(np.concatenate, zip(*found, strict=True))), np.concatenate(weight)
+    return LawDraws(*map(np.concatenate, zip(*draws, strict=True))), np.concatenate(weight)
 
 
 def _starts(
     prior: Prior | None, likelihoods: Sequence[TestLikelihood], x: Array
 ) -> InitialGapPrior:
     """Density of starts, learned from where the tests began, of draws (chain, draw, J, D)."""
-    left, free = [], []
+    starts, unloaded = [], []
     if prior is None or prior.fixed or "start" not in likelihoods[0].coordinates.names:
         return InitialGapPrior.of(prior)
-    even = (prior.family, prior.lower, prior.upper) == ("uniform", 0.0, 1.0)
-    for j, one in enumerate(likelihoods):
-        model, own = one.posterior.model, x[:, :, j].reshape(-1, x.shape[-1])
-        values = one.values(own)
-        scales = one.scales(np.median(own, axis=0)[None])
-        left.append(place_left(model, values, one.posterior.trace, scales or None))
-        free.append(without_load(model, values) if even else None)
-    there = [place for place in left if place is not None]
-    places = np.array(there) if len(there) == len(left) else None
-    begun = likelihoods[0].coordinates.value("start", x)
-    return InitialGapPrior.learned(begun.reshape(-1, len(likelihoods)), places, free)
+    uniform = (prior.family, prior.lower, prior.upper) == ("uniform", 0.0, 1.0)
+    for j, likelihood in enumerate(likelihoods):
+        model, draws = likelihood.posterior.model, x[:, :, j].reshape(-1, x.shape[-1])
+        values = likelihood.values(draws)
+        scales = likelihood.scales(np.median(draws, axis=0)[None])
+        starts.append(place_left(model, values, likelihood.posterior.trace, scales or None))
+        unloaded.append(without_load(model, values) if uniform else None)
+    ends = [end for end in starts if end is not None]
+    places = np.array(ends) if len(ends) == len(starts) else None
+    beginnings = likelihoods[0].coordinates.value("start", x)
+    return InitialGapPrior.learned(beginnings.reshape(-1, len(likelihoods)), places, unloaded)

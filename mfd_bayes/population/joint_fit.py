@@ -61,8 +61,8 @@ def knot_covariance() -> Array:
     """Prior covariance of δ at the knots for unit variance: Matérn 3/2 in each direction."""
     knots = np.linspace(0.0, 1.0, KNOTS)
     r = np.sqrt(3.0) * np.abs(np.subtract.outer(knots, knots)) / LENGTH
-    one = (1.0 + r) * np.exp(-r) + 1e-6 * np.eye(KNOTS)
-    return block_diag(one, one)
+    block = (1.0 + r) * np.exp(-r) + 1e-6 * np.eye(KNOTS)
+    return block_diag(block, block)
 
 
 def lag_one_of(standard: Sequence[Array]) -> float:
@@ -74,14 +74,14 @@ def lag_one_of(standard: Sequence[Array]) -> float:
 
 def share_of_strokes(standard: Sequence[Array], strokes: Sequence[Index]) -> float:
     """Share h of a random intercept of each stroke: one-way analysis of variance by moments."""
-    between, within = [1e-12], [1e-12]
+    between_strokes, within_strokes = [1e-12], [1e-12]
     for values, stroke in zip(standard, strokes, strict=True):
         for i in np.unique(stroke):
             if np.count_nonzero(group := stroke == i) >= FEWEST:
-                between.append(float(values[group].mean()) ** 2)
-                within.append(float(values[group].var()))
-    total = np.mean(between) + np.mean(within)
-    return float(np.sqrt(np.clip(np.mean(between) / total, 0.0, 0.9)))
+                between_strokes.append(float(values[group].mean()) ** 2)
+                within_strokes.append(float(values[group].var()))
+    total = np.mean(between_strokes) + np.mean(within_strokes)
+    return float(np.sqrt(np.clip(np.mean(between_strokes) / total, 0.0, 0.9)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,40 +109,42 @@ class TestLikelihood:
         """Factors along the record of what follows a changing actuation, (n, T) each."""
         if self.relative is None:
             return {}
-        values, found = self.coordinates.values(x), {}
-        for name, (law, *given) in self.laws.items():
+        values, scales = self.coordinates.values(x), {}
+        for name, (law, *shape_names) in self.laws.items():
             share, exponent = (
                 values.get(f"{shape}_{law}", np.array([value]))
-                for shape, value in zip(("share", "exponent"), given, strict=True)
+                for shape, value in zip(("share", "exponent"), shape_names, strict=True)
             )
             followed = ratio(self.relative, share[:, None], exponent[:, None])
-            found[name] = np.broadcast_to(followed, (len(x), self.relative.size))
-        return found
+            scales[name] = np.broadcast_to(followed, (len(x), self.relative.size))
+        return scales
 
     def residuals(self, x: Array) -> Array:
         """Measured less computed force at x (n, D), (n, T), kip; δ is in it."""
         values = self.values(x)
         force = self.posterior.force(values, scales=self.scales(x) or None)
         measured = np.asarray(self.posterior.trace.force)
-        left = measured - force - values["offset"][:, None]
-        return left[:, self.posterior.first :]
+        residual = measured - force - values["offset"][:, None]
+        return residual[:, self.posterior.first :]
 
     def linearised(self, x: Array) -> Array:
         """Residuals at x (1, D), and their slopes, (1 + D, T)."""
         step = STEP * np.eye(x.shape[1])
-        left = self.residuals(np.concatenate([x, x + step, x - step]))
-        up, down = np.split(left[1:], 2)
-        return np.concatenate([left[:1], (up - down) / (2.0 * STEP)])
+        residuals = self.residuals(np.concatenate([x, x + step, x - step]))
+        ahead, back = np.split(residuals[1:], 2)
+        return np.concatenate([residuals[:1], (ahead - back) / (2.0 * STEP)])
 
     def log_likelihood(self, x: Array) -> Array:
         """Magnitude-adjusted log likelihood at x (n, D), (n,); -inf where there is none."""
         x = np.clip(x, -BEYOND, BEYOND)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            left = (self.residuals(x) - self.discrepancy) / self.shape
+            residuals = (self.residuals(x) - self.discrepancy) / self.shape
             sd = self.coordinates.value("noise_sd", x)
-            squares = np.einsum("nt,nt->n", left, left)
-            found = -self.information * (0.5 * squares / sd**2 + left.shape[1] * np.log(sd))
-        return np.where(np.isfinite(found), found, -np.inf)
+            squares = np.einsum("nt,nt->n", residuals, residuals)
+            log_densities = -self.information * (
+                0.5 * squares / sd**2 + residuals.shape[1] * np.log(sd)
+            )
+        return np.where(np.isfinite(log_densities), log_densities, -np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,9 +170,11 @@ def fit_jointly(
     fit.information, fit.discrepancy = residual.information, [f @ fit.knots for f in fit.scaled]
     fit.iterate(20, learn=False)
     mean, precision = zip(*map(fit.gaussian, range(len(tests))), strict=True)
-    parts = zip(tests, fit.discrepancy, fit.shapes(), strict=True)
-    found = [replace(t, discrepancy=d, shape=g, information=fit.information) for t, d, g in parts]
-    return JointFit(tuple(found), np.array(mean), np.array(precision), residual)
+    columns = zip(tests, fit.discrepancy, fit.shapes(), strict=True)
+    likelihoods = [
+        replace(t, discrepancy=d, shape=g, information=fit.information) for t, d, g in columns
+    ]
+    return JointFit(tuple(likelihoods), np.array(mean), np.array(precision), residual)
 
 
 class _Fit:
@@ -186,9 +190,9 @@ class _Fit:
         self.tests, self.x = tests, start.copy()
         self.evaluate = evaluate or in_turn([test.linearised for test in tests])
         self.k_sd = tests[0].coordinates.names.index("noise_sd")
-        free = ~common
-        free[self.k_sd] = False
-        self.common, self.free = np.flatnonzero(common), np.flatnonzero(free)
+        free_coordinates = ~common
+        free_coordinates[self.k_sd] = False
+        self.common, self.free = np.flatnonzero(common), np.flatnonzero(free_coordinates)
         self.x[:, self.common] = np.median(self.x[:, self.common], axis=0)
         self.traces = [test.posterior.trace for test in tests]
         strokes = [float(np.ptp(trace.displacement)) for trace in self.traces]
@@ -208,8 +212,8 @@ class _Fit:
 
     def residual(self) -> Residual:
         """Discrepancy and noise that the tests have in common."""
-        each = zip(self.left, self.scaled, self.weights(), strict=True)
-        standard = [(r - f @ self.knots) * w for r, f, w in each]
+        tests_of_fit = zip(self.left, self.scaled, self.weights(), strict=True)
+        standard = [(r - f @ self.knots) * w for r, f, w in tests_of_fit]
         phi = lag_one_of(standard)
         strokes = [strokes_of(t)[k:] for t, k in zip(self.traces, self.first, strict=True)]
         step = np.median([np.median(np.diff(trace.time)) for trace in self.traces])
@@ -228,64 +232,67 @@ class _Fit:
 
     def _linearise(self) -> None:
         """Take the residuals and the slopes of the force at x."""
-        found = list(self.evaluate((j, row[None]) for j, row in enumerate(self.x)))
-        self.left, self.slopes = [f[0] for f in found], [-f[1:].T for f in found]
+        linearisations = list(self.evaluate((j, row[None]) for j, row in enumerate(self.x)))
+        self.left, self.slopes = [f[0] for f in linearisations], [-f[1:].T for f in linearisations]
 
     def weights(self) -> list[Array]:
         """Weight of each sample of each test, 1/kip."""
-        root, each = np.sqrt(self.information), zip(self.functions, self.sd, strict=True)
-        return [root * np.exp(-f @ self.log_shape) / s for f, s in each]
+        root, noise_of_tests = np.sqrt(self.information), zip(self.functions, self.sd, strict=True)
+        return [root * np.exp(-f @ self.log_shape) / s for f, s in noise_of_tests]
 
     def _objective(self, weights: Sequence[Array]) -> float:
         squares = np.sum(self.x[0, self.common] ** 2) + np.sum(self.x[:, self.free] ** 2)
-        for left, discrepancy, w in zip(self.left, self.discrepancy, weights, strict=True):
-            squares += np.sum(((left - discrepancy) * w) ** 2)
+        for residuals, discrepancy, w in zip(self.left, self.discrepancy, weights, strict=True):
+            squares += np.sum(((residuals - discrepancy) * w) ** 2)
         return 0.5 * float(squares)
 
-    def iterate(self, most: int, *, learn: bool) -> None:
+    def iterate(self, max_steps: int, *, learn: bool) -> None:
         """Damped Gauss-Newton steps, each followed by a step of EM if asked for."""
-        damping, settled, last = 0.0, 0, np.inf
+        damping, settled, last_objective = 0.0, 0, np.inf
         if learn:
             self.learn()
-        for _ in range(most):
-            weights, kept = self.weights(), (self.x, self.left, self.slopes)
-            before = self._objective(weights)
+        for _ in range(max_steps):
+            weights, saved = self.weights(), (self.x, self.left, self.slopes)
+            objective = self._objective(weights)
             for _ in range(8):
                 self.x = self.solved(weights, damping)
                 if np.abs(self.x).max() <= FARTHEST:
                     self._linearise()
-                    if self._objective(weights) <= before:
+                    if self._objective(weights) <= objective:
                         damping = damping / 10.0 if damping > 1e-3 else 0.0
                         break
-                self.x, self.left, self.slopes = kept
+                self.x, self.left, self.slopes = saved
                 damping = max(1e-3, 6.0 * damping)
             if learn:
                 self.learn()
-            settled = settled + 1 if abs(before / last - 1.0) < SETTLED else 0
-            last = before
+            settled = settled + 1 if abs(objective / last_objective - 1.0) < SETTLED else 0
+            last_objective = objective
             if settled == 3:
                 return
 
     def solved(self, weights: Sequence[Array], damping: float) -> Array:
         """Solution (J, D) of the normal equations; the tests' own quantities are eliminated."""
-        common, free = self.common, self.free
+        common, free_columns = self.common, self.free
         a, b, eliminated = np.eye(common.size), -self.x[0, common], []
         for j, w in enumerate(weights):
-            slopes, left = self.slopes[j] * w[:, None], (self.left[j] - self.discrepancy[j]) * w
-            shared, own = slopes[:, common], slopes[:, free]
-            h = own.T @ own
+            slopes, residuals = (
+                self.slopes[j] * w[:, None],
+                (self.left[j] - self.discrepancy[j]) * w,
+            )
+            shared, free_slopes = slopes[:, common], slopes[:, free_columns]
+            h = free_slopes.T @ free_slopes
             h += np.diag(1.0 + damping * np.diag(h))
-            gradient = own.T @ left - self.x[j, free]
-            solved = np.linalg.solve(h, np.column_stack([own.T @ shared, gradient]))
-            a += shared.T @ shared - (shared.T @ own) @ solved[:, :-1]
+            gradient = free_slopes.T @ residuals - self.x[j, free_columns]
+            solved = np.linalg.solve(h, np.column_stack([free_slopes.T @ shared, gradient]))
+            a += shared.T @ shared - (shared.T @ free_slopes) @ solved[:, :-1]
             a += damping * np.diag(np.sum(shared**2, axis=0))
-            b = b + shared.T @ left - (shared.T @ own) @ solved[:, -1]
+            b = b + shared.T @ residuals - (shared.T @ free_slopes) @ solved[:, -1]
             eliminated.append(solved)
-        step, new = np.linalg.solve(a, b), self.x.copy()
-        new[:, common] += step
+        step, moved = np.linalg.solve(a, b), self.x.copy()
+        moved[:, common] += step
         for j, solved in enumerate(eliminated):
-            new[j, free] += solved[:, -1] - solved[:, :-1] @ step
-        return new
+            moved[j, free_columns] += solved[:, -1] - solved[:, :-1] @ step
+        return moved
 
     def learn(self) -> None:
         """Discrepancy and its size, noise of each test, shape of the noise: a step of EM."""
@@ -296,20 +303,20 @@ class _Fit:
         self.median = float(np.exp(np.log(np.maximum(slips[driven], 1e-9)).mean()))
         self.scaled = [f * s for f, s in zip(self.functions, slips / self.median, strict=True)]
         precision, pull = self.inverse / self.amplitude**2, np.zeros(self.log_shape.size)
-        for f, w, left in zip(self.scaled, self.weights(), self.left, strict=True):
+        for f, w, residuals in zip(self.scaled, self.weights(), self.left, strict=True):
             weighted = f * w[:, None]
             precision = precision + weighted.T @ weighted
-            pull += weighted.T @ (w * left)
+            pull += weighted.T @ (w * residuals)
         self.covariance = np.linalg.inv(precision)
         self.knots = self.covariance @ pull
         size = self.knots @ self.inverse @ self.knots + np.sum(self.inverse * self.covariance)
         self.amplitude = max(float(np.sqrt(size / pull.size)), 1e-9)
         squares, count = np.full(pull.size, EVEN), np.full(pull.size, EVEN)
         for j, f in enumerate(self.functions):
-            rest = self.left[j] - self.scaled[j] @ self.knots
-            even = rest * np.exp(-f @ self.log_shape)
-            self.sd[j] = max(float(np.sqrt(np.mean(even**2))), 1e-9)
-            squares += f.T @ (rest / self.sd[j]) ** 2
+            remainder = self.left[j] - self.scaled[j] @ self.knots
+            scaled_remainder = remainder * np.exp(-f @ self.log_shape)
+            self.sd[j] = max(float(np.sqrt(np.mean(scaled_remainder**2))), 1e-9)
+            squares += f.T @ (remainder / self.sd[j]) ** 2
             count += f.sum(axis=0)
         self.log_shape = 0.5 * np.log(squares / count)
 
@@ -322,8 +329,8 @@ class _Fit:
         q = prior.coordinate(self.sd[[j]])[0]
         self.x[j, k] = (q - coordinates.centre[k]) / spread
         precision = slopes.T @ slopes
-        up, down = (prior.value(np.array([q + e])) for e in (STEP, -STEP))
-        slope = spread * float((np.log(up / down) / (2.0 * STEP))[0])
+        ahead, back = (prior.value(np.array([q + e])) for e in (STEP, -STEP))
+        slope = spread * float((np.log(ahead / back) / (2.0 * STEP))[0])
         precision[k, k] = 2.0 * self.information * w.size * slope**2
         precision[np.diag_indices(len(precision))] += 1e-3
         pull = slopes.T @ ((self.left[j] - self.discrepancy[j]) * w)

@@ -91,8 +91,11 @@ class MixedModel:
         self.actuation = np.array([s.actuation for s in design.settings])
         # mean and covariance of the numbers of h by the choice of laws, once they were drawn
         self.adapted: dict[tuple[int, ...], tuple[Array, Array]] = {}
-        home = [design.cell_of(s) for s in design.settings]
-        self.cells = [[j for j, one in enumerate(home) if one == cell] for cell in design.cells]
+        cell_of_test = [design.cell_of(s) for s in design.settings]
+        self.cells = [
+            [j for j, test_cell in enumerate(cell_of_test) if test_cell == cell]
+            for cell in design.cells
+        ]
         covariance = design.level_covariance(design.cells, design.cells)
         level = np.linalg.inv(covariance + 1e-9 * np.eye(len(covariance)))
         self.effect_precision = [
@@ -115,8 +118,8 @@ class MixedModel:
 
     def offsets(self, h: Array, choice: Index) -> Array:
         """Laws at the tests, in prior units, (n, J, d)."""
-        found = self.design.offsets(*self.shapes(h, choice), self.actuation)
-        return np.where(self.design.informs, found, 0.0)
+        offsets = self.design.offsets(*self.shapes(h, choice), self.actuation)
+        return np.where(self.design.informs, offsets, 0.0)
 
     def log_prior(self, h: Array) -> Array:
         """Log prior density of h but for a constant, (n,): half-normal sds, with their Jacobian."""
@@ -162,14 +165,14 @@ class MixedModel:
             across = np.broadcast_to(p[:, self.free], (n, *p[:, self.free].shape))
             precision = p - p[:, :, self.free] @ np.linalg.solve(inner, across)
             log = -0.5 * np.linalg.slogdet(inner)[1].sum(axis=1) - js.size * np.log(tau).sum(axis=1)
-            left = self.y[js] - offsets[:, js]
-            pulled = np.einsum("njab,njb->nja", precision, left)
+            residual = self.y[js] - offsets[:, js]
+            pulled = np.einsum("njab,njb->nja", precision, residual)
             log += 0.5 * np.log(self.weight[js]).sum()
-            total += log - 0.5 * np.einsum("nja,nja->n", left, pulled)
+            total += log - 0.5 * np.einsum("nja,nja->n", residual, pulled)
             b[:, active] += np.einsum("jm,njm->nm", row, pulled[:, :, q])
             grams = precision[:, :, q[:, None], q]
-            at = np.ix_(np.arange(n), active, active)
-            a[at] += np.einsum("jml,njml->nml", row[:, :, None] * row[:, None], grams)
+            block = np.ix_(np.arange(n), active, active)
+            a[block] += np.einsum("jml,njml->nml", row[:, :, None] * row[:, None], grams)
         factor = np.asarray(np.linalg.cholesky(a))
         u = forward(factor, b)
         total += 0.5 * np.sum(u**2, axis=1)
@@ -179,15 +182,17 @@ class MixedModel:
     def prior_precision(self, h: Array) -> Array:
         """Precision of z before any test, (n, Z, Z)."""
         design, omega, z = self.design, self.omega(h), self.design.quantity.size
-        a, plain = np.zeros((len(h), z, z)), np.arange(design.z_sd.size)
-        a[:, plain, plain] = design.z_sd**-2.0
+        a, columns = np.zeros((len(h), z, z)), np.arange(design.z_sd.size)
+        a[:, columns, columns] = design.z_sd**-2.0
         for e, block in enumerate(self.effect_precision):
-            for own in design.columns(e):
-                a[:, own[:, None], own] = omega[:, e, None, None] ** -2.0 * block
+            for effect_columns in design.columns(e):
+                a[:, effect_columns[:, None], effect_columns] = (
+                    omega[:, e, None, None] ** -2.0 * block
+                )
         return a
 
     def draw_given_tests(
-        self, h: Array, left: Array, weight: Array, z: Array, rng: np.random.Generator
+        self, h: Array, residual: Array, weight: Array, z: Array, rng: np.random.Generator
     ) -> Array:
         """Draw z (n, Z) of the free quantities given the tests' coordinates less laws (n, J, d).
 
@@ -196,12 +201,14 @@ class MixedModel:
         z, a, quantity = z.copy(), self.prior_precision(h), self.design.quantity
         precision = weight / self.tau(h)[:, None] ** 2
         for f, k in enumerate(self.free):  # given the tests these do not know of each other
-            own = np.flatnonzero(quantity == k)
-            weighted = self.rows[:, own].T * precision[:, None, :, f]
-            inner = a[:, own[:, None], own] + weighted @ self.rows[:, own]
+            columns = np.flatnonzero(quantity == k)
+            weighted = self.rows[:, columns].T * precision[:, None, :, f]
+            inner = a[:, columns[:, None], columns] + weighted @ self.rows[:, columns]
             factor = np.asarray(np.linalg.cholesky(inner), dtype=np.float64)
-            pulled = np.asarray(np.einsum("nmj,nj->nm", weighted, left[..., k]))
-            z[:, own] = Coefficients(backward(factor, forward(factor, pulled)), factor).draw(rng)
+            pulled = np.asarray(np.einsum("nmj,nj->nm", weighted, residual[..., k]))
+            z[:, columns] = Coefficients(backward(factor, forward(factor, pulled)), factor).draw(
+                rng
+            )
         return z
 
     def _inner(self, js: Index, tau: Array) -> Array:
@@ -212,8 +219,8 @@ class MixedModel:
 
     def deviations(self, h: Array, choice: Index, z: Array) -> tuple[Array, Array]:
         """Mean of the deviations given the rest, (n, J, F), and factors of their precision."""
-        left = self.y - self.offsets(h, choice) - self.design.linear(z, self.rows)
-        pulled = np.einsum("jfa,nja->njf", self.p[:, self.free], left)
+        residual = self.y - self.offsets(h, choice) - self.design.linear(z, self.rows)
+        pulled = np.einsum("jfa,nja->njf", self.p[:, self.free], residual)
         inner = self._inner(np.arange(len(self.y)), self.tau(h))
         return forward(inner, pulled), np.asarray(np.linalg.cholesky(inner))
 
@@ -221,13 +228,13 @@ class MixedModel:
 
     def log_numbers(self, g: Array, choice: Index) -> Array:
         """Log posterior density of the numbers g (n, dim), (n,)."""
-        found = []
-        for part in np.array_split(g, max(len(g) // 64, 1)):
-            log = self.marginal(self.from_standard_normal(part), choice)[0] - 0.5 * np.sum(
-                part**2, axis=1
+        densities = []
+        for block in np.array_split(g, max(len(g) // 64, 1)):
+            log = self.marginal(self.from_standard_normal(block), choice)[0] - 0.5 * np.sum(
+                block**2, axis=1
             )
-            found.append(np.nan_to_num(log, nan=-1e9, neginf=-1e9))
-        return np.concatenate(found)
+            densities.append(np.nan_to_num(log, nan=-1e9, neginf=-1e9))
+        return np.concatenate(densities)
 
     def mode(self, choice: Index) -> Array:
         """Mode of the numbers by BFGS, its gradient by central differences, (dim,)."""
@@ -239,8 +246,8 @@ class MixedModel:
 
         def loss(g: Array) -> tuple[float, Array]:
             f = -self.log_numbers(np.concatenate([g[None], g + step, g - step]), choice)
-            up, down = np.split(f[1:], 2)
-            return float(f[0]), (up - down) / 2e-4
+            ahead, back = np.split(f[1:], 2)
+            return float(f[0]), (ahead - back) / 2e-4
 
         bounds, start = [(-FARTHEST, FARTHEST)] * self.dim, np.zeros(self.dim)
         return optimize.minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x
@@ -303,9 +310,9 @@ class MixedModel:
             variance = np.linalg.inv(factor @ np.swapaxes(factor, -1, -2))
             squares = mean[0] ** 2 + np.diagonal(variance[0], axis1=1, axis2=2)
             squares = squares * self.design.spread[self.free] ** 2
-            inside = self.weight * squares
-            others = inside.sum(axis=0) - inside + 0.25 * self.scale[: self.f] ** 2
-            ratio = squares / (others / len(squares))
+            weighted = self.weight * squares
+            other_tests = weighted.sum(axis=0) - weighted + 0.25 * self.scale[: self.f] ** 2
+            ratio = squares / (other_tests / len(squares))
             odds = OUTLIER / WIDER * np.exp(np.minimum(0.5 * ratio * (1.0 - WIDER**-2), 700.0))
             weight = np.where(odds / (odds + 1.0 - OUTLIER) > 0.5, WIDER**-2, 1.0)
             if np.array_equal(weight, self.weight):
@@ -373,13 +380,13 @@ class TestGaussians:
     @classmethod
     def given_common(cls, design: Design, y: Array, precision: Array, mode: Array) -> TestGaussians:
         """From likelihoods (J, d), (J, d, d), with the common quantities at a mode (d,)."""
-        free, common = design.free, np.flatnonzero(design.common)
-        inner = precision[:, free][:, :, free] + 1e-6 * np.eye(free.size)
-        away = (y[:, common] - mode[common])[..., None]
-        shift = np.linalg.solve(inner, precision[:, free][:, :, common] @ away)[..., 0]
+        free_indices, common = design.free, np.flatnonzero(design.common)
+        inner = precision[:, free_indices][:, :, free_indices] + 1e-6 * np.eye(free_indices.size)
+        distance = (y[:, common] - mode[common])[..., None]
+        shift = np.linalg.solve(inner, precision[:, free_indices][:, :, common] @ distance)[..., 0]
         mean, variance = y.copy(), np.ones_like(y)
-        mean[:, free] += shift
-        variance[:, free] = np.diagonal(np.linalg.inv(inner), axis1=1, axis2=2)
+        mean[:, free_indices] += shift
+        variance[:, free_indices] = np.diagonal(np.linalg.inv(inner), axis1=1, axis2=2)
         return cls(design, mean, variance)
 
     def densities(
@@ -420,18 +427,20 @@ class TestGaussians:
         u = np.clip(qmc.Sobol(max(dim, 1), seed=0).random(QUADRATURE)[:, :dim], 1e-9, 1.0 - 1e-9)
         g = special.ndtri(u)
         g[QUADRATURE // 2 :] = mode + g[QUADRATURE // 2 :] @ root.T
-        near = -0.5 * np.sum(np.linalg.solve(root, (g - mode).T) ** 2, axis=0)
-        near -= np.linalg.slogdet(root)[1]
+        log_t = -0.5 * np.sum(np.linalg.solve(root, (g - mode).T) ** 2, axis=0)
+        log_t -= np.linalg.slogdet(root)[1]
         prior = -0.5 * np.sum(g**2, axis=1)
-        h, weight = mixed.from_standard_normal(g), prior - np.logaddexp(prior, near) + np.log(2.0)
-        every = set(range(len(y)))
-        kept = [sorted(every - set(fold)) for fold in ((), *folds)]
-        log = np.stack([weight + mixed.marginal(h, choice, tests)[0] for tests in kept], axis=1)
+        h, weight = mixed.from_standard_normal(g), prior - np.logaddexp(prior, log_t) + np.log(2.0)
+        all_tests = set(range(len(y)))
+        training_sets = [sorted(all_tests - set(fold)) for fold in ((), *folds)]
+        log = np.stack(
+            [weight + mixed.marginal(h, choice, tests)[0] for tests in training_sets], axis=1
+        )
         # where the law has no value the quantity has the prior of a test by itself, N(0, 1)
         total = 1.0 + variance
-        alone = -0.5 * (y[:, 0] ** 2 / total + np.log(total / variance))
-        alone[informs] = 0.0
-        return log + np.array([alone[tests].sum() for tests in kept]), h
+        single = -0.5 * (y[:, 0] ** 2 / total + np.log(total / variance))
+        single[informs] = 0.0
+        return log + np.array([single[tests].sum() for tests in training_sets]), h
 
     def scores(
         self,
@@ -456,7 +465,7 @@ def compare_laws(tests: TestGaussians) -> tuple[LawScore, ...]:
     folds = levels_of(design.settings)
     if len(folds) < LEVELS:
         return ()
-    found = []
+    scores = []
     allowed = [law in design.considered(COMPARE) for law in LAWS]
     for name in design.laws:
         pairs = [tests.scores(name, law, folds) for law in LAWS]
@@ -465,9 +474,9 @@ def compare_laws(tests: TestGaussians) -> tuple[LawScore, ...]:
         if np.any(trusted):
             weights[trusted] = stack(np.array([terms for terms, _ in pairs])[trusted].T)
         for law, (terms, k), weight in zip(LAWS, pairs, weights, strict=True):
-            total, se, each = float(terms.sum()), _error(terms), tuple(terms.tolist())
-            found.append(LawScore(name, law, total, se, float(weight), each, float(k)))
-    return tuple(found)
+            total, se, elpd_of_fold = float(terms.sum()), _error(terms), tuple(terms.tolist())
+            scores.append(LawScore(name, law, total, se, float(weight), elpd_of_fold, float(k)))
+    return tuple(scores)
 
 
 def extrapolation_weights(tests: TestGaussians, names: Sequence[str], laws: Sequence[str]) -> Array:
@@ -476,11 +485,11 @@ def extrapolation_weights(tests: TestGaussians, names: Sequence[str], laws: Sequ
     Stacking of the two folds, for some quantities together, with a prior worth one fold: two
     levels do not rule a law out. With fewer than `LEVELS` levels, equal weights.
     """
-    above = [j for j, s in enumerate(tests.design.settings) if s.actuation > 0]
-    levels = levels_of([tests.design.settings[j] for j in above])
+    loaded = [j for j, s in enumerate(tests.design.settings) if s.actuation > 0]
+    levels = levels_of([tests.design.settings[j] for j in loaded])
     if len(levels) < LEVELS or not names:
         return np.full(len(laws), 1.0 / len(laws))
-    ends = [[above[j] for j in levels[end]] for end in (0, -1)]
+    ends = [[loaded[j] for j in levels[end]] for end in (0, -1)]
     terms = [np.concatenate([tests.scores(n, law, ends)[0] for n in names]) for law in laws]
     return stack(np.array(terms).T, prior=1.0)
 
@@ -496,17 +505,17 @@ def compare_dependence(tests: TestGaussians) -> tuple[DependenceScore, ...]:
     count = len(design.settings)
     if count < TESTS or not varied:
         return ()
-    parts = min(count, FOLDS)
-    folds = [range(i, count, parts) for i in range(parts)]
-    found = []
+    n_folds = min(count, FOLDS)
+    folds = [range(i, count, n_folds) for i in range(n_folds)]
+    scores = []
     for name, law in design.laws.items():
         law = "power" if law == COMPARE else law
         terms = {c: tests.scores(name, law, folds, [c] if c else [])[0] for c in ("", *varied)}
         for c, values in terms.items():
             better = values - terms[""]
             total, difference = float(values.sum()), float(better.sum())
-            found.append(DependenceScore(name, c, total, difference, _error(better)))
-    return tuple(found)
+            scores.append(DependenceScore(name, c, total, difference, _error(better)))
+    return tuple(scores)
 
 
 def free_exponents(tests: TestGaussians) -> dict[str, tuple[float, float, float]]:
@@ -519,14 +528,14 @@ def free_exponents(tests: TestGaussians) -> dict[str, tuple[float, float, float]
     design = tests.design
     if len(levels_of([s for s in design.settings if s.actuation > 0])) < LEVELS:
         return {}
-    found = {}
+    exponents = {}
     for name in (n for n, law in design.laws.items() if law == "proportional"):
         log, h = tests.densities(name, "power", [], leveled=True)
         order = np.argsort(h[:, -1])  # the exponent
         mass = np.cumsum(special.softmax(log[:, 0])[order])
         low, middle, high = np.interp([0.025, 0.5, 0.975], mass, h[order, -1])
-        found[name] = (float(low), float(middle), float(high))
-    return found
+        exponents[name] = (float(low), float(middle), float(high))
+    return exponents
 
 
 def stack(scores: Array, prior: float = 0.0) -> Array:
@@ -543,8 +552,8 @@ def stack(scores: Array, prior: float = 0.0) -> Array:
     starts = [np.zeros(laws), *(3.0 * np.eye(laws))]
     best = min((optimize.minimize(loss, start) for start in starts), key=lambda fit: fit.fun)
     weights = special.softmax(best.x)
-    kept = np.where(weights < 0.01, 0.0, weights)
-    return np.asarray(kept / kept.sum())
+    rounded = np.where(weights < 0.01, 0.0, weights)
+    return np.asarray(rounded / rounded.sum())
 
 
 def _error(terms: Array) -> float:

@@ -65,8 +65,8 @@ class PeakExcess:
         up by its squares.
         """
         excess = special.stdtrit(_freedom(self.tests), probability) * self.scale(speed)
-        more = np.sign(excess) * (np.hypot(spread, excess) - spread)
-        return np.asarray(more / np.maximum(self.scale(speed), 1e-300))
+        change = np.sign(excess) * (np.hypot(spread, excess) - spread)
+        return np.asarray(change / np.maximum(self.scale(speed), 1e-300))
 
     def seen(self, largest: Array, speed: Array | float, slip: Array, scores: Array) -> Array:
         """Peaks that a load cell sees, of computed ones, kip; the arrays broadcast.

@@ -96,11 +96,11 @@ class TravelBasis:
         x, stroke = trace.displacement, strokes_of(trace)
         turns = np.concatenate([[0], trace.turning_points, [trace.samples - 1]])
         length = np.diff(x[turns])
-        before = np.concatenate([[0.0], np.abs(length[:-1])])[stroke]
+        previous_stroke = np.concatenate([[0.0], np.abs(length[:-1])])[stroke]
         travel, forward = np.abs(x - x[turns[stroke]]), length[stroke] > 0
-        place = np.log1p(FINE * travel / self.longest) / np.log1p(FINE) * (KNOTS - 1)
-        hats = np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(KNOTS)))
-        hats *= np.clip(4.0 * before / self.shortest - 2.0, 0.0, 1.0)[:, None]
+        knot_position = np.log1p(FINE * travel / self.longest) / np.log1p(FINE) * (KNOTS - 1)
+        hats = np.maximum(0.0, 1.0 - np.abs(knot_position[:, None] - np.arange(KNOTS)))
+        hats *= np.clip(4.0 * previous_stroke / self.shortest - 2.0, 0.0, 1.0)[:, None]
         return np.concatenate([hats * forward[:, None], hats * ~forward[:, None]], axis=1)
 
 
@@ -142,19 +142,19 @@ class Residual:
         rng: np.random.Generator,
         trace: Trace,
         sd: Array,
-        rest: ArrayLike = 1.0,
+        unshared: ArrayLike = 1.0,
         level: float = 1.0,
     ) -> Array:
         """Draws of the noise for these standard deviations (n,), (n, T), kip.
 
-        ε is multiplied by `rest`, and the levels of the strokes by `level`.
+        ε is multiplied by `unshared`, and the levels of the strokes by `level`.
         """
         e = rng.standard_normal((len(sd), trace.samples))
         for t, f in enumerate(np.exp(-np.diff(trace.time) / self.noise_time), start=1):
             e[:, t] = f * e[:, t - 1] + np.sqrt(1.0 - f * f) * e[:, t]
         strokes, h = strokes_of(trace), self.stroke_share
         levels = rng.standard_normal((len(sd), int(strokes[-1]) + 1))
-        noise = np.sqrt(1.0 - h * h) * rest * e + h * level * levels[:, strokes]
+        noise = np.sqrt(1.0 - h * h) * unshared * e + h * level * levels[:, strokes]
         return np.asarray(sd[:, None] * self.shape(trace) * noise)
 
     def counts(self, trace: Trace) -> Array:
@@ -195,29 +195,32 @@ class InitialGapPrior:
 
     @classmethod
     def learned(
-        cls, begun: Array, left: Array | None, without_load: Sequence[tuple[Array, Array] | None]
+        cls,
+        beginnings: Array,
+        last_end: Array | None,
+        without_load: Sequence[tuple[Array, Array] | None],
     ) -> InitialGapPrior:
         """What draws of the places (n, J) say where tests began."""
-        w = np.clip(np.median(begun, axis=0), 1e-6, 1.0 - 1e-6)
+        w = np.clip(np.median(beginnings, axis=0), 1e-6, 1.0 - 1e-6)
         log = np.full((2, SHAPES.size), -np.inf)
-        for i, mode in enumerate((np.full(w.size, 0.5), left)):
+        for i, mode in enumerate((np.full(w.size, 0.5), last_end)):
             if mode is not None:
                 a, b = _exponents(SHAPES[:, None], mode)
                 density = (a - 1.0) * np.log(w) + (b - 1.0) * np.log1p(-w) - betaln(a, b)
                 log[i] = density.sum(axis=1)
-        ends = [part for part in without_load if part is not None]
+        ends = [bounds for bounds in without_load if bounds is not None]
         if len(ends) < len(without_load):
             return cls(softmax(log))
         factors = 0.0
-        for place, (lower, upper) in zip(begun.T, ends, strict=True):
-            inside = (place >= lower) & (place <= upper)
-            factors += np.log((inside.mean() + 1e-3) / ((upper - lower).mean() + 1e-3))
+        for positions, (lower, upper) in zip(beginnings.T, ends, strict=True):
+            between_bounds = (positions >= lower) & (positions <= upper)
+            factors += np.log((between_bounds.mean() + 1e-3) / ((upper - lower).mean() + 1e-3))
         return cls(softmax(log), min(float(expit(logit(BEFORE) + factors)), MOST))
 
     def place(
         self,
         numbers: Array,
-        left: float | None,
+        last_end: float | None,
         without_load: tuple[Array, Array] | None,
         *,
         repeat: bool,
@@ -225,20 +228,22 @@ class InitialGapPrior:
         """Places of tests, (n,), of normal numbers (n, 2): which density, and where in it."""
         if self.fixed is not None:
             return np.full(len(numbers), self.fixed)
-        which, u = ndtr(numbers).T
-        found, share = u, 1.0
+        component, u = ndtr(numbers).T
+        position, share = u, 1.0
         if repeat and self.weights is not None:
             share = ELSEWHERE
             edges = np.cumsum(self.weights.ravel())
-            pick = np.searchsorted(edges / edges[-1], (which - share) / (1.0 - share))
+            pick = np.searchsorted(edges / edges[-1], (component - share) / (1.0 - share))
             mode, shape = np.divmod(np.clip(pick, 0, edges.size - 1), SHAPES.size)
-            modes = np.array([0.5, 0.5 if left is None else left])
+            modes = np.array([0.5, 0.5 if last_end is None else last_end])
             a, b = _exponents(SHAPES[shape], modes[mode])
-            found = np.where(which >= share, betaincinv(a, b, u), u)
+            position = np.where(component >= share, betaincinv(a, b, u), u)
         if without_load is not None:
             lower, upper = without_load
-            found = np.where(which < share * self.unloaded, lower + (upper - lower) * u, found)
-        return np.asarray(np.clip(found, 1e-9, 1.0 - 1e-9))
+            position = np.where(
+                component < share * self.unloaded, lower + (upper - lower) * u, position
+            )
+        return np.asarray(np.clip(position, 1e-9, 1.0 - 1e-9))
 
 
 def _exponents(shape: Array, mode: Array) -> tuple[Array, Array]:
@@ -248,10 +253,10 @@ def _exponents(shape: Array, mode: Array) -> tuple[Array, Array]:
 
 def without_load(model: Model, values: Mapping[str, Array]) -> tuple[Array, Array] | None:
     """Ends of the part of the gap without load, (n,) each, of quantities by name; None if all."""
-    found = model.unloaded(values)
-    if found is None:
+    bounds = model.unloaded(values)
+    if bounds is None:
         return None
-    lower, upper, edge = found
+    lower, upper, edge = bounds
     fine = np.isfinite(lower) & np.isfinite(upper) & np.isfinite(edge)
     half = 0.5 * np.clip(np.where(fine, edge, 0.0), 0.0, 0.5)
     ends = np.where(fine, lower - half, 0.0), np.where(fine, upper + half, 1.0)
@@ -298,8 +303,8 @@ class FinalState:
         x = np.concatenate([x[:1], x[:1], x])  # a trace has three samples at least
         time = SLOW * np.arange(x.size)
         trace = Trace.from_arrays(time, x, velocity=np.zeros(x.size), hysteresis=0.0)
-        place = model.end(self.theta, trace, model.start_at(self.place, trace))
-        return FinalState(self.test, self.theta, place, self.predicted)
+        position = model.end(self.theta, trace, model.start_at(self.place, trace))
+        return FinalState(self.test, self.theta, position, self.predicted)
 
 
 def place_left(
@@ -410,8 +415,8 @@ class Population:
 
         It is the sd of the logarithm of a positive quantity, and in kip for the offset.
         """
-        free = enumerate(self.design.free)
-        return {self.design.names[k]: np.exp(self.draws.h[..., i]) for i, k in free}
+        free_columns = enumerate(self.design.free)
+        return {self.design.names[k]: np.exp(self.draws.h[..., i]) for i, k in free_columns}
 
     @property
     def effect_sds(self) -> dict[str, Array]:
@@ -428,7 +433,9 @@ class Population:
     @property
     def dependences(self) -> dict[str, Array]:
         """Change of a quantity's coordinate per e-fold of a covariate, (chain, draw)."""
-        pairs = [f"{name}_{c}" for name, those in self.design.dependence.items() for c in those]
+        pairs = [
+            f"{name}_{c}" for name, covariates in self.design.dependence.items() for c in covariates
+        ]
         begin = len(self.design.names)
         return {pair: self.draws.z[..., begin + i] for i, pair in enumerate(pairs)}
 
@@ -446,19 +453,19 @@ class Population:
         It is (chain, draw, m), or (n, m) for draws by number. It is 1 for a quantity without a law;
         what follows another, such as static friction, has its law.
         """
-        at, design = np.atleast_1d(np.asarray(actuation, dtype=np.float64)), self.design
-        if not np.all((at >= 0.0) & np.isfinite(at)):
+        actuations, design = np.atleast_1d(np.asarray(actuation, dtype=np.float64)), self.design
+        if not np.all((actuations >= 0.0) & np.isfinite(actuations)):
             raise FitError(f"actuation must be finite numbers of at least 0, got {actuation!r}")
         name = TIED.get(name, name) if name not in design.names else name
         if name not in design.names:
             raise NotThereError(f"no quantity {name!r}: there are {', '.join(design.names)}")
-        chosen = np.arange(self.size) if index is None else index
-        found = np.ones((chosen.size, at.size))
+        rows = np.arange(self.size) if index is None else index
+        ratios = np.ones((rows.size, actuations.size))
         if name in design.laws:
             column = list(design.laws).index(name)
-            shape = (a[chosen, column, None] for a in (self._all.share, self._all.exponent))
-            found = ratio(at / design.reference, *shape)
-        return found.reshape(*self.shape, -1) if index is None else found
+            shape = (a[rows, column, None] for a in (self._all.share, self._all.exponent))
+            ratios = ratio(actuations / design.reference, *shape)
+        return ratios.reshape(*self.shape, -1) if index is None else ratios
 
     def median(self, name: str, actuation: ArrayLike) -> Array:
         """Median of a quantity over tests at actuations (m,), by its law, (chain, draw, m)."""
@@ -474,37 +481,37 @@ class Population:
         what is left without actuation: `Fc_fwd_0` and its like in kip, `sigma0_0` in kip/in. All
         are (chain, draw).
         """
-        found: dict[str, Array] = {}
+        slope_of: dict[str, Array] = {}
         p0, laws = self.design.reference, self.design.laws
         slopes = {"Fc_fwd": "K_c_fwd", "Fc_bwd": "K_c_bwd", "sigma0": "alpha_sigma0"}
         for name, slope in slopes.items():
             if laws.get(name) not in ("proportional", "affine"):
                 continue
-            zero, one = np.moveaxis(self.median(name, [0.0, p0]), -1, 0)
-            found[slope] = (one - zero) / p0
+            zero, at_reference = np.moveaxis(self.median(name, [0.0, p0]), -1, 0)
+            slope_of[slope] = (at_reference - zero) / p0
             excess = name.replace("Fc", "static_excess")
             if excess != name and excess in self.design.names:
                 static = 1.0 + self.median(excess, [p0])[..., 0]
-                found[slope.replace("K_c", "K_s")] = found[slope] * static
+                slope_of[slope.replace("K_c", "K_s")] = slope_of[slope] * static
         for name, law in laws.items():
             if law in ("affine", "residual_power") and f"{name}_0" in INTERCEPTS:
-                found[f"{name}_0"] = self.median(name, [0.0])[..., 0]
-        return found
+                slope_of[f"{name}_0"] = self.median(name, [0.0])[..., 0]
+        return slope_of
 
     # --- new tests --------------------------------------------------------------------------------
 
     def values(self, x: Array) -> dict[str, Array]:
         """Shared quantities at coordinates x (n, d), by name, (n,) each, internal units."""
         coordinates = self.design.coordinates
-        more = np.zeros((len(x), len(coordinates.names) - x.shape[1]))
-        found = coordinates.values(np.concatenate([x, more], axis=1))
-        return {name: found[name] for name in self.design.names}
+        padding = np.zeros((len(x), len(coordinates.names) - x.shape[1]))
+        values = coordinates.values(np.concatenate([x, padding], axis=1))
+        return {name: values[name] for name in self.design.names}
 
     def within_levels(self, actuation: float) -> bool:
         """Whether an actuation lies between the lowest and the highest tested level, or at one."""
         levels = [s.actuation for s in self.design.settings]
-        inside = min(levels) <= actuation <= max(levels)
-        return inside or any(same_level(actuation, level) for level in levels)
+        within_range = min(levels) <= actuation <= max(levels)
+        return within_range or any(same_level(actuation, level) for level in levels)
 
     def draw_index(self, n: int, actuation: float, rng: np.random.Generator) -> Index:
         """Numbers of draws for n new tests, (n,).
@@ -512,22 +519,22 @@ class Population:
         Beyond the tested levels they mix over the laws: numbers from `size` on are those under
         other laws.
         """
-        found = rng.choice(self.size, size=n, replace=n > self.size)
+        index = rng.choice(self.size, size=n, replace=n > self.size)
         if self.within_levels(actuation) or not self.alternative_weight.size:
-            return found
+            return index
         edges = np.cumsum(self.alternative_weight)
-        other = np.searchsorted(edges, rng.random(n))
-        return np.where(other < edges.size, self.size + other, found)
+        alternative = np.searchsorted(edges, rng.random(n))
+        return np.where(alternative < edges.size, self.size + alternative, index)
 
     @cached_property
     def _leveled(self) -> list[tuple[int, int, Index]]:
         """Quantity, column of h and columns of z of each quantity with a level effect."""
         design = self.design
         return [
-            (k, design.free.size + e, own)
+            (k, design.free.size + e, column)
             for e, effect in enumerate(design.effects)
             if effect.name == "level"
-            for k, own in zip(effect.members, design.columns(e), strict=True)
+            for k, column in zip(effect.members, design.columns(e), strict=True)
         ]
 
     def count_numbers(self, grid: int) -> int:
@@ -553,14 +560,16 @@ class Population:
 
     def active(self, setting: TestConditions, grid: Array) -> Index:
         """Columns of the numbers that matter under a setting and a grid (G,)."""
-        free = ~self.design.common
-        new = free & (setting.session not in self.design.sessions)
-        device = free & (setting.device not in self.design.devices)
-        more: Sequence[bool] = device.tolist() if self.several_devices else []
+        free_mask = ~self.design.common
+        new_session = free_mask & (setting.session not in self.design.sessions)
+        device = free_mask & (setting.device not in self.design.devices)
+        device_mask: Sequence[bool] = device.tolist() if self.several_devices else []
         untested = np.any(np.abs(self.design.krige(setting.session, grid)[1]) > 1e-9)
         level = np.full(len(self._leveled) * grid.size, untested)
-        outside = self._extrapolation_sd(setting) > 0
-        return np.flatnonzero([*free, *outside, *new, *more, *level, True, True])
+        extrapolated = self._extrapolation_sd(setting) > 0
+        return np.flatnonzero(
+            [*free_mask, *extrapolated, *new_session, *device_mask, *level, True, True]
+        )
 
     def level_effects(
         self, index: Index, session: str, actuations: ArrayLike, numbers: Array
@@ -573,12 +582,14 @@ class Population:
         weights, covariance = self.design.krige(session, actuations)
         values, vectors = np.linalg.eigh(covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        found = {}
-        for m, (k, e, own) in enumerate(self._leveled):
+        effects = {}
+        for m, (k, e, columns) in enumerate(self._leveled):
             omega = np.exp(self._all.h[index, e])
-            drawn = omega[:, None] * (numbers[:, m] @ root.T)
-            found[self.design.names[k]] = self._all.z[np.ix_(index, own)] @ weights.T + drawn
-        return LevelEffects(np.atleast_1d(actuations), found)
+            deviations = omega[:, None] * (numbers[:, m] @ root.T)
+            effects[self.design.names[k]] = (
+                self._all.z[np.ix_(index, columns)] @ weights.T + deviations
+            )
+        return LevelEffects(np.atleast_1d(actuations), effects)
 
     def parts(
         self,
@@ -594,9 +605,9 @@ class Population:
         They are the sum of two parts: levels, laws, covariates and effects; and scatter from test
         to test with what is unknown of a new session or device, 0 for the mean property.
         """
-        design, draws, at = self.design, self._all, np.array([setting.actuation])
+        design, draws, actuations = self.design, self._all, np.array([setting.actuation])
         row = design.row(setting, level_effects=False)[None]
-        mean = design.offsets(draws.share[index], draws.exponent[index], at)[:, 0]
+        mean = design.offsets(draws.share[index], draws.exponent[index], actuations)[:, 0]
         mean += design.linear(draws.z[index], row)[:, 0]
         for name, value in effects.at(setting.actuation).items():
             k = design.names.index(name)
@@ -604,14 +615,18 @@ class Population:
         mean += self._extrapolation_sd(setting) * numbers.extrapolation
         scattered = np.zeros_like(mean)
         if scatter:
-            sd, free = np.exp(draws.h[index]), design.free
-            scattered[:, free] = sd[:, : free.size] / design.spread[free] * numbers.scatter[:, free]
-            for e, effect in enumerate(design.effects, free.size):
+            sd, free_indices = np.exp(draws.h[index]), design.free
+            scattered[:, free_indices] = (
+                sd[:, : free_indices.size]
+                / design.spread[free_indices]
+                * numbers.scatter[:, free_indices]
+            )
+            for e, effect in enumerate(design.effects, free_indices.size):
                 if effect.name == "level" or design.home(effect.name, setting) in effect.homes:
                     continue
-                own = getattr(numbers, effect.name)
+                group_numbers = getattr(numbers, effect.name)
                 for k in effect.members:
-                    scattered[:, k] += sd[:, e] / design.spread[k] * own[:, k]
+                    scattered[:, k] += sd[:, e] / design.spread[k] * group_numbers[:, k]
         return mean, scattered
 
     def _extrapolation_sd(self, setting: TestConditions) -> Array:
@@ -625,15 +640,15 @@ class Population:
         untested = self.design.krige(setting.session, setting.actuation)[1][0, 0]
         level = WIDER * design.scatter_sd * np.sqrt(np.maximum(untested, 0.0))
         level[[k for k, _, _ in self._leveled]] = 0.0
-        found = np.zeros(len(design.names))
+        sd = np.zeros(len(design.names))
         for k in design.free:
             name = design.names[k]
             if name != "offset" and not name.startswith("noise_"):
                 follows = name in design.laws
-                found[k] = np.sqrt(
+                sd[k] = np.sqrt(
                     (STROKE * stroke) ** 2 + ((RATE * rate) ** 2 + level[k] ** 2) * follows
                 )
-        return found / design.spread
+        return sd / design.spread
 
     def repeats(self, setting: TestConditions) -> bool:
         """Whether a motion repeats those of the tests: of their kind and of their stroke."""
@@ -657,16 +672,18 @@ class Population:
         The numbers (n, 2) are the start's; setting and trace are the motion's, where it is known.
         """
         n = len(x)
-        others = {k: p for k, p in self.priors.items() if k not in self.design.names}
-        found = {"gamma1": np.ones(n)} | {k: np.full(n, p.median) for k, p in others.items()}
+        other_priors = {k: p for k, p in self.priors.items() if k not in self.design.names}
+        columns = {"gamma1": np.ones(n)} | {
+            k: np.full(n, p.median) for k, p in other_priors.items()
+        }
         if not model.has_gap:
-            return found | {"start": np.full(n, 0.5)}
-        values = found | self.values(x)
-        repeat, left = setting is not None and self.repeats(setting), None
+            return columns | {"start": np.full(n, 0.5)}
+        values = columns | self.values(x)
+        repeat, last_end = setting is not None and self.repeats(setting), None
         if repeat and trace is not None and self.starts.weights is not None:
-            left = place_left(model, values, trace)
-        start = self.starts.place(numbers, left, without_load(model, values), repeat=repeat)
-        return found | {"start": start}
+            last_end = place_left(model, values, trace)
+        start = self.starts.place(numbers, last_end, without_load(model, values), repeat=repeat)
+        return columns | {"start": start}
 
     def scales(
         self,
@@ -680,18 +697,24 @@ class Population:
 
         The level is among the actuations of the effects, which increase.
         """
-        found, grid, here = {}, effects.actuation, effects.at(level)
+        scales, grid, reference = {}, effects.actuation, effects.at(level)
         along_grid = np.log(np.maximum(grid, 1e-300))
-        place = np.clip(np.log(np.maximum(actuation, 1e-300)), along_grid[0], along_grid[-1])
-        lines = np.array([np.interp(place, along_grid, unit) for unit in np.eye(grid.size)])
+        grid_position = np.clip(
+            np.log(np.maximum(actuation, 1e-300)), along_grid[0], along_grid[-1]
+        )
+        lines = np.array([np.interp(grid_position, along_grid, unit) for unit in np.eye(grid.size)])
         for name in self.design.laws:
-            over = self.ratio(name, [level], index)
-            along = self.ratio(name, actuation, index) / np.where(over > 0.0, over, 1.0)
-            along = np.where(over > 0.0, along, 1.0)  # without any actuation it stays at its level
-            if name in here and grid.size > 1:
-                along = along * np.exp((effects.log[name] - here[name][:, None]) @ lines)
-            found[name] = along
-        return found | {n: found[o] for n, o in model.shared_laws.items() if o in found}
+            reference_ratio = self.ratio(name, [level], index)
+            ratios = self.ratio(name, actuation, index) / np.where(
+                reference_ratio > 0.0, reference_ratio, 1.0
+            )
+            ratios = np.where(
+                reference_ratio > 0.0, ratios, 1.0
+            )  # without any actuation it stays at its level
+            if name in reference and grid.size > 1:
+                ratios = ratios * np.exp((effects.log[name] - reference[name][:, None]) @ lines)
+            scales[name] = ratios
+        return scales | {n: scales[o] for n, o in model.shared_laws.items() if o in scales}
 
     def grid_of(self, trace: Trace) -> Array:
         """Actuations at which deviations are drawn for a trace, increasing, (G,)."""
@@ -763,13 +786,15 @@ def _population(
     arrays: Mapping[str, Array], facts: Mapping[str, Any], priors: PriorFile, model: Model | None
 ) -> Population:
     values = {name: np.asarray(array, dtype=np.float64) for name, array in arrays.items()}
-    settings = [TestConditions(**one) for one in facts["settings"]]
+    settings = [TestConditions(**entry) for entry in facts["settings"]]
     laws, dependence = facts["laws"], facts["dependence"]
     design = design_of(priors, facts["names"], settings, laws, dependence, model)
     draws = LawDraws(**{k: values[f"draws_{k}"] for k in ("h", "z", "share", "exponent")})
-    other = LawDraws(**{k: np.array(v, dtype=np.float64) for k, v in facts["alternatives"].items()})
+    alternatives = LawDraws(
+        **{k: np.array(v, dtype=np.float64) for k, v in facts["alternatives"].items()}
+    )
     z = design.row(settings[0]).size  # which fails where a covariate is unknown
-    sizes = (draws.h.shape[-1], draws.z.shape[-1], other.z.shape[-1])
+    sizes = (draws.h.shape[-1], draws.z.shape[-1], alternatives.z.shape[-1])
     if sizes != (design.free.size + len(design.effects), z, z):
         raise ValueError("its draws do not fit its design")
     if not all(np.all(np.isfinite(value)) for value in values.values()):
@@ -783,7 +808,7 @@ def _population(
         draws=draws,
         choice=values["law"].astype(np.intp),
         law_weights=facts["weights"],
-        alternatives=other,
+        alternatives=alternatives,
         alternative_weight=np.array(facts["alternative_weight"]),
         residual=Residual(TravelBasis(**facts["basis"]), **discrepancy, **facts["residual"]),
         starts=starts,

@@ -171,9 +171,9 @@ def cycle_turns(displacement: Array) -> NDArray[np.intp]:
         return turns
     strokes = np.abs(np.diff(displacement[turns]))
     half = float(np.median(np.diff(turns)[strokes >= 0.5 * strokes.max()]))
-    near = 2 * int(np.ceil(1.2 * half)) + 1  # samples
-    stroke = ndimage.maximum_filter1d(displacement, near)
-    stroke -= ndimage.minimum_filter1d(displacement, near)
+    width = 2 * int(np.ceil(1.2 * half)) + 1  # samples
+    stroke = ndimage.maximum_filter1d(displacement, width)
+    stroke -= ndimage.minimum_filter1d(displacement, width)
     smallest = max(SMALLEST_CYCLE * extent, noise)
     return turning_points(displacement, np.maximum(smallest, CYCLE * stroke))
 
