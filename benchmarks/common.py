@@ -93,6 +93,7 @@ def parser_of(
     if out:
         words = "folder of what is finished: delete it when records or code have changed"
         parser.add_argument("--out", type=Path, default=PROJECT / out, help=words)
+        parser.add_argument("--effort", default="standard", help="of the calibrations")
     return parser
 
 
@@ -174,7 +175,7 @@ def lay_out(
 def calibrated(options: argparse.Namespace, session: str, model: str = "three_stage") -> Run:
     """Calibrated run of the records of a session, kept in --out; those of FEW if quick."""
     only = FEW.get(session, ()) if options.quick else ()
-    effort = "quick" if options.quick else "standard"
+    effort = "quick" if options.quick else options.effort
     out = options.out / f"{session}_{model}_{effort}"
     place = options.out / f"campaign_{out.name}"
     campaign = lay_out(options.data, place, session, model, only)

@@ -33,6 +33,7 @@ BASIS = {
     "energy_per_cycle": "new_test",
     "peak_fwd": "observation",
     "peak_bwd": "observation",
+    "gap": "observation",
 }
 """What each property is compared with: measured peaks have noise, energies hardly any."""
 
@@ -85,7 +86,7 @@ def main() -> None:
     options = common.begin(parser)
     run = common.calibrated(options, "2022-07")
     print(f"{len(run.tests)} tests, each tension left out")
-    show(pd.DataFrame(bounded(run, "quick" if options.quick else "standard")))
+    show(pd.DataFrame(bounded(run, "quick" if options.quick else options.effort)))
 
 
 if __name__ == "__main__":

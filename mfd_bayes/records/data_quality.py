@@ -86,6 +86,10 @@ DRIFT, STEADY_DRIFT, P_VALUE, STEADY = 0.25, 0.07, 0.01, 5
 so many, from the second share of the slip force on, if it has so small a probability by chance."""
 JUMP = 0.03  # share of the stroke that a sample of the displacement may be off its neighbours' line
 ZERO, SLOW_ZERO = 0.04, 0.03  # shares of the stroke by which both ends may move: once, or steadily
+TURNS, BESIDE, CERTAIN = 6, 0.02, 5.0
+"""Fewest turns from which a steady drift of the displacement is read; the largest sd of their
+middles beside its line, as a share of the stroke, above which the motion is no harmonic one; and
+the least drift, in its standard errors."""
 HELD, LONGER = 5, 4.0  # equal samples of a frozen channel: the fewest, and times longer than usual
 SWING, FAR, NEAR = 0.6, 1.5, 0.05
 """A displacement is frozen while the force goes through the first share of its range, a force
@@ -552,30 +556,38 @@ def _spread(starts: Samples, lengths: Samples) -> Samples:
 
 def zero_moves(trace: Trace) -> Iterator[Fault]:
     """Both ends of the strokes that move together: the zero of the displacement."""
-    from scipy.stats import linregress  # which takes long to import
-
+    turns, stroke = trace.displacement[trace.cycle_turns], float(np.ptp(trace.displacement))
+    if turns.size >= TURNS:
+        # of three turns, so that strokes that grow or shrink evenly have no other middle; strokes
+        # of which one end stays have one that follows their size
+        aside = 0.5 * (turns[:-2] + turns[2:])
+        middles, sizes = 0.5 * (turns[1:-1] + aside), np.abs(turns[1:-1] - aside)
+        time = trace.time[trace.cycle_turns[1:-1]]
+        columns = np.column_stack([np.ones(time.size), time - time.mean(), sizes - sizes.mean()])
+        columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+        line, _, rank, _ = np.linalg.lstsq(columns, middles, rcond=1e-3)
+        beside = middles - columns @ line
+        error = np.sqrt(
+            beside @ beside / (time.size - 3) * np.linalg.pinv(columns.T @ columns)[1, 1]
+        )
+        moved = float(line[1] / np.linalg.norm(time - time.mean()) * np.ptp(trace.time))
+        steady = beside.std() < BESIDE * stroke and abs(line[1]) > CERTAIN * error
+        steady &= rank == 3 or np.ptp(sizes) < 1e-3 * stroke
+        if steady and abs(moved) > SLOW_ZERO * stroke:
+            yield Fault.of(
+                "displacement zero",
+                f"the displacement drifts by {_plus(moved)}{{moved}} over the record at both ends "
+                f"of its strokes, {abs(moved) / stroke:.0%} of the stroke: the zero of the sensor "
+                "drifts, or the middle of the motion was moved",
+                moved=(moved, "in"),
+            )
+            return
     loops = find_loops(trace)
     full = loops.amplitude > 0.8 * loops.amplitude.max(initial=0.0)
     middle, half = loops.middle[full], loops.amplitude[full]
-    if half.size < max(STEADY, full.size / 2):
+    if half.size < max(2 * FEWEST, full.size / 2):
         return
-    ends = np.array([middle + half, middle - half])
-    time, stroke = trace.time[loops.bounds[:-1]][full], 2.0 * float(np.median(half))
-    lines = [linregress(time, end) for end in ends]
-    drifts = np.array([float(line.slope) for line in lines]) * np.ptp(time)
-    steady = np.prod(drifts) > 0.0 and max(line.pvalue for line in lines) < P_VALUE
-    if steady and np.abs(drifts).min() > SLOW_ZERO * stroke:
-        moved = float(drifts.mean())
-        yield Fault.of(
-            "displacement zero",
-            f"both ends of the strokes drift by {_plus(moved)}{{moved}} over the record, "
-            f"{abs(moved) / stroke:.0%} of the stroke: the zero of the sensor drifts, or the "
-            "middle of the motion was moved",
-            moved=(moved, "in"),
-        )
-        return
-    if half.size < 2 * FEWEST:
-        return
+    ends, stroke = np.array([middle + half, middle - half]), 2.0 * float(np.median(half))
     moves = np.array(
         [np.median(ends[:, k:], 1) - np.median(ends[:, :k], 1) for k in range(2, half.size - 1)]
     )

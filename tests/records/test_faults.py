@@ -129,7 +129,7 @@ FAULTY = {
     "a displacement that drifts": (
         lambda t, x, f: (t, x + 0.1 * t / t[-1], f),
         "displacement zero",
-        "both ends of the strokes drift by +0.0",
+        "the displacement drifts by +0.1 in",
     ),
     "peaks and valleys": (
         lambda t, x, f: (t[100::200], x[100::200], f[100::200]),
