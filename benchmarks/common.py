@@ -79,7 +79,7 @@ force = { name = "force_N" } }
 
 
 def parser_of(
-    docstring: str, *, data: bool = False, jobs: int = 0, out: str = ""
+    docstring: str, *, data: bool = False, jobs: int = 0, output: str = ""
 ) -> argparse.ArgumentParser:
     """Command line with --quick and --seed, and what else a benchmark needs."""
     parser = argparse.ArgumentParser(description=docstring.splitlines()[0])
@@ -90,9 +90,9 @@ def parser_of(
         parser.add_argument("--data", type=Path, default=data_folder(), help=words)
     if jobs:
         parser.add_argument("--jobs", type=int, default=jobs)
-    if out:
+    if output:
         words = "folder of what is finished: delete it when records or code have changed"
-        parser.add_argument("--out", type=Path, default=PROJECT / out, help=words)
+        parser.add_argument("--out", type=Path, default=PROJECT / output, help=words)
         parser.add_argument("--effort", default="standard", help="of the calibrations")
     return parser
 
@@ -119,17 +119,19 @@ def finish(failed: Sequence[str]) -> None:
 def command(*words: object, may_fail: bool = False) -> str:
     """What a command of the package says, run in a process of its own; exits where it fails."""
     line = [sys.executable, "-m", "mfd_bayes", *map(str, words)]
-    done = subprocess.run(line, capture_output=True, text=True, check=False)
-    if done.returncode and not (may_fail and done.returncode == 1):
-        sys.exit(f"{' '.join(line)}: {done.stdout}{done.stderr}")
-    return done.stdout
+    process = subprocess.run(line, capture_output=True, text=True, check=False)
+    if process.returncode and not (may_fail and process.returncode == 1):
+        sys.exit(f"{' '.join(line)}: {process.stdout}{process.stderr}")
+    return process.stdout
 
 
 def inside(draws: np.ndarray, truth: np.ndarray) -> list[float]:
     """Share of true values (…, T) inside the equal-tailed 50 and 95 % bands of draws (n, T)."""
     levels = [0.25, 0.75, 0.025, 0.975]
-    low, high, least, most = np.quantile(draws, levels, axis=0)
-    return [float(np.mean((a <= truth) & (truth <= b))) for a, b in ((low, high), (least, most))]
+    low, high, lowest, highest = np.quantile(draws, levels, axis=0)
+    return [
+        float(np.mean((a <= truth) & (truth <= b))) for a, b in ((low, high), (lowest, highest))
+    ]
 
 
 def data_folder() -> Path:
@@ -149,11 +151,11 @@ def lay_out(
     folder: Path,
     session: str,
     model: str = "three_stage",
-    only: Collection[str] = (),
+    selection: Collection[str] = (),
 ) -> Path:
     """Copy the records of a session, or of one tension of 2023 ("36lb"), with a campaign file.
 
-    Earthquakes are held out; `only` are the ids of the tests that are wanted, all if empty.
+    Earthquakes are held out; `selection` are the ids of the tests that are wanted, all if empty.
     """
     folder.mkdir(parents=True, exist_ok=True)
     text = HEADER.format(session=session, model=model)
@@ -161,7 +163,7 @@ def lay_out(
         of_2023 = session.endswith("lb") and row["session"] == "2023-04"
         if session not in (row["session"], f"{row['tension_lbf']}lb" if of_2023 else ""):
             continue
-        if only and row["id"] not in only:
+        if selection and row["id"] not in selection:
             continue
         shutil.copyfile(source / "brfd" / row["file"], folder / row["file"])
         role = "validate" if row["kind"] == "earthquake" else "calibrate"
@@ -174,41 +176,43 @@ def lay_out(
 
 def calibrated(options: argparse.Namespace, session: str, model: str = "three_stage") -> Run:
     """Calibrated run of the records of a session, kept in --out; those of FEW if quick."""
-    only = FEW.get(session, ()) if options.quick else ()
+    selection = FEW.get(session, ()) if options.quick else ()
     effort = "quick" if options.quick else options.effort
-    out = options.out / f"{session}_{model}_{effort}"
-    place = options.out / f"campaign_{out.name}"
-    campaign = lay_out(options.data, place, session, model, only)
-    chosen = RunOptions(effort=effort, seed=options.seed, jobs=options.jobs, resume=out.exists())
+    folder = options.out / f"{session}_{model}_{effort}"
+    campaign_folder = options.out / f"campaign_{folder.name}"
+    campaign = lay_out(options.data, campaign_folder, session, model, selection)
+    request = RunOptions(
+        effort=effort, seed=options.seed, jobs=options.jobs, resume=folder.exists()
+    )
 
     def report(step: Step) -> None:
         print(step.id, step.stage, file=sys.stderr)
 
-    return calibrate(plan_campaign(campaign, chosen), out, report)
+    return calibrate(plan_campaign(campaign, request), folder, report)
 
 
-def without(run: Run, kept: Collection[str], effort: str, seed: tuple[int, ...]) -> Run:
+def without(run: Run, names: Collection[str], effort: str, seed: tuple[int, ...]) -> Run:
     """The run as if only some of its tests had been made."""
-    settings, tests = run.manifest.settings, {name: run.tests[name] for name in kept}
+    settings, tests = run.manifest.settings, {name: run.tests[name] for name in names}
     inference = infer_population(tests, run.priors, settings.inference(effort, seed))
-    others = replace(run, tests=tests, manifest=run.manifest.changed(peak_excess={}))
+    reduced = replace(run, tests=tests, manifest=run.manifest.changed(peak_excess={}))
 
     def pooled(name: str) -> dict[str, np.ndarray]:
         values = inference.values(list(tests).index(name))
         return {quantity: draws.reshape(-1) for quantity, draws in values.items()}
 
-    vars(others)["population"] = inference.population  # instead of the one that is stored
-    vars(others)["sequence"] = replace(others.sequence, pooled=pooled)
-    return others
+    vars(reduced)["population"] = inference.population  # instead of the one that is stored
+    vars(reduced)["sequence"] = replace(reduced.sequence, pooled=pooled)
+    return reduced
 
 
 # --- ranks of true values among draws
 
 
 def ranks_table(
-    ranks: Mapping[str, Sequence[int]], draws: int, words: str, shown: tuple[str, ...] = ("",)
+    ranks: Mapping[str, Sequence[int]], draws: int, words: str, prefixes: tuple[str, ...] = ("",)
 ) -> dict[str, float]:
-    """Print whether ranks are uniform, with those whose names begin with `shown`; which are not.
+    """Print whether ranks are uniform, with those whose names begin with `prefixes`; which are not.
 
     By name: p-value, z of the mean rank, and the spread over that of uniform ranks.
     """
@@ -221,7 +225,7 @@ def ranks_table(
         f"p below {LEVEL / len(ranks):.2g} fails\n{'':28}{'p':>10}{'z':>8}{'spread':>9}"
     )
     middle, sd = draws / 2.0, np.sqrt(((draws + 1) ** 2 - 1) / 12.0)
-    for name in (name for name in ranks if name.startswith(shown)):
+    for name in (name for name in ranks if name.startswith(prefixes)):
         p, values = uniformity.p_value(ranks[name]), np.array(ranks[name])
         z = (values.mean() - middle) / sd * np.sqrt(tests)
         word = "  FAILED" if name in failed else ""
@@ -233,7 +237,7 @@ def ranks_table(
 
 
 def run_series(
-    run: Callable[..., dict[str, Any]], every: list[tuple[Any, ...]], options: argparse.Namespace
+    run: Callable[..., dict[str, Any]], tasks: list[tuple[Any, ...]], options: argparse.Namespace
 ) -> list[dict[str, Any]]:
     """Results of a function of all arguments; those that the same code has stored are read."""
     digest = hashlib.sha256()
@@ -242,19 +246,19 @@ def run_series(
             digest.update(path.read_bytes())
     folder = options.out / digest.hexdigest()[:12]
     folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / f"{'_'.join(map(str, arguments))}.json" for arguments in every]
-    left = [(f, run, a) for f, a in zip(files, every, strict=True) if not f.is_file()]
-    print(f"{len(every) - len(left)} of {len(every)} found", file=sys.stderr)
+    files = [folder / f"{'_'.join(map(str, arguments))}.json" for arguments in tasks]
+    pending = [(f, run, a) for f, a in zip(files, tasks, strict=True) if not f.is_file()]
+    print(f"{len(tasks) - len(pending)} of {len(tasks)} found", file=sys.stderr)
     began = time.perf_counter()
     with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
-        for done, _ in enumerate(pool.imap_unordered(_run_and_store, left), 1):
+        for count, _ in enumerate(pool.imap_unordered(_run_and_store, pending), 1):
             minutes = (time.perf_counter() - began) / 60.0
-            print(f"{done} of {len(left)}, {minutes:.1f} min", file=sys.stderr)
+            print(f"{count} of {len(pending)}, {minutes:.1f} min", file=sys.stderr)
     return [json.loads(file.read_text(encoding="utf-8")) for file in files]
 
 
 def _run_and_store(task: tuple[Path, Callable[..., dict[str, Any]], tuple[Any, ...]]) -> None:
     path, run, arguments = task
-    beside = path.with_suffix(".part")
-    beside.write_text(json.dumps(run(*arguments)), encoding="utf-8")
-    beside.replace(path)
+    temporary = path.with_suffix(".part")
+    temporary.write_text(json.dumps(run(*arguments)), encoding="utf-8")
+    temporary.replace(path)

@@ -144,39 +144,39 @@ def finished_run(tmp_path_factory) -> FinishedRun:
 
     Sessions of the same code share one in the folder that MFD_BAYES_FINISHED_RUN names.
     """
-    home = tmp_path_factory.getbasetemp()
+    folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
-        home = home.parent  # which the processes share
-    home = Path(os.environ.get("MFD_BAYES_FINISHED_RUN", home / "finished_run"))
-    home.mkdir(exist_ok=True)
-    with (home / "lock").open("w") as lock:
+        folder = folder.parent  # which the processes share
+    folder = Path(os.environ.get("MFD_BAYES_FINISHED_RUN", folder / "finished_run"))
+    folder.mkdir(exist_ok=True)
+    with (folder / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # the others wait for the first
-        ended = home / "ended.json"
+        ended = folder / "ended.json"
         if not ended.is_file():
-            ended.write_text(json.dumps(calibrate_once(home)))
+            ended.write_text(json.dumps(calibrate_once(folder)))
     ended = json.loads(ended.read_text())
     assert ended.pop("code") == 0, ended["stderr"]
-    return FinishedRun(home / "campaign" / "campaign.toml", out=home / "out", **ended)
+    return FinishedRun(folder / "campaign" / "campaign.toml", out=folder / "out", **ended)
 
 
-def calibrate_once(home: Path) -> dict[str, Any]:
+def calibrate_once(folder: Path) -> dict[str, Any]:
     """Calibrate the small campaign in two processes; the truth, and how the command ended."""
     from mfd_bayes.campaign.synthetic import Matrix, write_campaign
 
     pressures = (500.0, 1000.0, 1500.0)
     matrix = Matrix(pressures=pressures, frequencies=(0.5,), cycles=(2,), held_out=(1200.0, 0.5))
-    (home / "campaign").mkdir()
-    known = write_campaign(home / "campaign", 1, matrix)
-    path = home / "campaign" / "campaign.toml"
+    (folder / "campaign").mkdir()
+    truth = write_campaign(folder / "campaign", 1, matrix)
+    path = folder / "campaign" / "campaign.toml"
     path.write_text(path.read_text().replace('"ou"', '"ou"\nrate = "50 Hz"\narea = 1.5'))
-    command = [sys.executable, "-m", "mfd_bayes", "calibrate", path, "-o", home / "out"]
+    command = [sys.executable, "-m", "mfd_bayes", "calibrate", path, "-o", folder / "out"]
     # a user has set no thread counts
-    plain = {name: v for name, v in os.environ.items() if not name.endswith("_NUM_THREADS")}
-    plain["PYTHONPATH"] = os.pathsep.join(sys.path)
+    environment = {name: v for name, v in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    environment["PYTHONPATH"] = os.pathsep.join(sys.path)
     command = [*map(str, command), "--effort", "quick", "--jobs", "2"]
-    ended = subprocess.run(command, capture_output=True, text=True, env=plain, check=False)
+    ended = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     printed = {"stdout": ended.stdout, "stderr": ended.stderr}
-    return {"truth": known, "code": ended.returncode, **printed}
+    return {"truth": truth, "code": ended.returncode, **printed}
 
 
 @pytest.fixture(scope="session")

@@ -85,14 +85,14 @@ def write_run(folder: Path, *, small: bool) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "priors.toml").write_text(PRIORS, encoding="utf-8")
     rng = np.random.default_rng(1)
-    under = []
+    settings = []
     for task in plan.tasks:
         posterior = Posterior(task.trace, plan.priors, task.noise, task.model, initial=task.initial)
         path = folder / "tests" / task.id / "posterior.nc"
         _write_posterior(path, posterior, rng)
-        under.append(setting_of(task.trace))
+        settings.append(setting_of(task.trace))
     save_trace(folder / "tests/c/record.nc", Trace.from_arrays(TIME, MOTION, 0.7, FORCE), {})
-    _write_population(folder / "population.nc", plan.priors, posterior.names, under, rng)
+    _write_population(folder / "population.nc", plan.priors, posterior.names, settings, rng)
     score = {"coverage": [0.5, 0.9, 0.95], "width": 1.0, "interval_score": 1.2}
     score |= {"crps": 0.1, "rrse": 0.2}
     predictions = [{"part": "a", "test": "a", "score": score, "fitted": score}]
@@ -100,8 +100,8 @@ def write_run(folder: Path, *, small: bool) -> Path:
     stored = {"key": asdict(fold), "predictions": predictions}
     write_json(folder / "crossvalidation" / fold.file, stored)
     names = [p.relative_to(folder).as_posix() for p in folder.rglob("*.*") if p.suffix != ".json"]
-    about = _about(plan, predictions) | {"files": hash_stored(folder, names)}
-    write_json(folder / "manifest.json", {**plan.manifest.content, **about})
+    metadata = _about(plan, predictions) | {"files": hash_stored(folder, names)}
+    write_json(folder / "manifest.json", {**plan.manifest.content, **metadata})
     return folder
 
 
@@ -121,8 +121,8 @@ def _write_posterior(path, posterior, rng):
     save_test(path, CalibratedTest(values, units(), stats, posterior.trace, predictive, facts))
 
 
-def _write_population(path, priors, names, under, rng):
-    design = design_of(priors, names, under, LAWS)
+def _write_population(path, priors, names, settings, rng):
+    design = design_of(priors, names, settings, LAWS)
     begin = design.free.size + len(design.effects)
     h = rng.normal(-2.0, 0.2, size=(12, begin + len(design.shapes)))
     choice = np.tile([LAW_NAMES.index(law) for law in design.laws.values()], (12, 1))
@@ -150,9 +150,9 @@ def _write_population(path, priors, names, under, rng):
 
 def _about(plan, predictions):
     """What a manifest holds once the run is finished, with everything that may be in it."""
-    done = {"status": "done", "seconds": 1.0}
+    status = {"status": "done", "seconds": 1.0}
     tests = {
-        name: entry | (done if entry["role"] == "calibrate" else {"status": "held out"})
+        name: entry | (status if entry["role"] == "calibrate" else {"status": "held out"})
         for name, entry in plan.manifest.content["tests"].items()
     }
     law = {"quantity": "Fc_fwd", "elpd": 2.0, "se": 1.0, "weight": 0.5}
@@ -201,18 +201,18 @@ def content(path):
     return path.read_bytes()
 
 
-def files(out: Path) -> set[str]:
+def files(folder: Path) -> set[str]:
     """Every file of a folder, hidden ones too."""
-    return {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
 
 
-def differing(out: Path, reference: Path) -> list[str]:
+def differing(folder: Path, reference: Path) -> list[str]:
     """Files of a run folder whose content differs from the reference's; without hidden files."""
 
     def same(name):
         try:
-            return content(out / name) == content(reference / name)
+            return content(folder / name) == content(reference / name)
         except (OSError, ValueError, KeyError):
             return False
 
-    return [n for n in sorted(files(out)) if not Path(n).name.startswith(".") and not same(n)]
+    return [n for n in sorted(files(folder)) if not Path(n).name.startswith(".") and not same(n)]

@@ -31,8 +31,8 @@ RUN_CODE = {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve", "yam
 
 
 def module_of(path: Path) -> str:
-    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+    names = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(names[:-1] if names[-1] == "__init__" else names)
 
 
 TREES = {module_of(path): ast.parse(path.read_text("utf-8")) for path in PACKAGE.rglob("*.py")}
@@ -58,21 +58,21 @@ def imports_of(module: str, *, annotations: bool = True, inner: bool = True) -> 
 
 def modules_of(names: tuple[str, ...]) -> set[str]:
     """The package's modules that names stand in: `mfd_bayes.a.b.C` in `mfd_bayes.a.b`."""
-    known = set(TREES) - {"mfd_bayes"}
-    return {name if name in known else name.rpartition(".")[0] for name in names} & known
+    modules = set(TREES) - {"mfd_bayes"}
+    return {name if name in modules else name.rpartition(".")[0] for name in names} & modules
 
 
 def place_of(module: str) -> int:
     """Number of a module's room, -1 of a file at the root that has none."""
-    first = module.split(".")[1]
-    return ROOMS.index(first) if first in ROOMS else -1
+    room = module.split(".")[1]
+    return ROOMS.index(room) if room in ROOMS else -1
 
 
 def calls_of(tree: ast.AST) -> set[str]:
     """Functions that are called by their name alone, and keyword arguments."""
     calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
-    names = {call.func.id for call in calls if isinstance(call.func, ast.Name)}
-    return names | {str(keyword.arg) for call in calls for keyword in call.keywords}
+    names = {expr.func.id for expr in calls if isinstance(expr.func, ast.Name)}
+    return names | {str(keyword.arg) for expr in calls for keyword in expr.keywords}
 
 
 def test_every_file_has_a_room_which_says_what_it_is_for() -> None:
@@ -84,10 +84,10 @@ def test_every_file_has_a_room_which_says_what_it_is_for() -> None:
 def test_imports_run_one_way() -> None:
     outer = {"mfd_bayes", "mfd_bayes.__main__"}  # the names of Python, and the command
     against = {
-        f"{module} imports {other}"
+        f"{module} imports {imported}"
         for module in set(TREES) - outer
-        for other in modules_of(imports_of(module))
-        if place_of(other) > place_of(module)
+        for imported in modules_of(imports_of(module))
+        if place_of(imported) > place_of(module)
     }
     assert against == THIN
     assert not [
@@ -100,11 +100,11 @@ def test_an_application_imports_only_the_door_of_another() -> None:
         return ".".join(module.split(".")[:3]) if ".applications." in module else ""
 
     against = [
-        f"{module} imports {other}"
+        f"{module} imports {imported}"
         for module in TREES
-        for other in modules_of(imports_of(module))
+        for imported in modules_of(imports_of(module))
         if application_of(module)
-        and application_of(other) not in ("", application_of(module), other)
+        and application_of(imported) not in ("", application_of(module), imported)
     ]
     assert against == []
 
@@ -112,9 +112,9 @@ def test_an_application_imports_only_the_door_of_another() -> None:
 def test_no_two_files_import_each_other() -> None:
     imports = {
         name: {
-            other
-            for other in modules_of(imports_of(name, annotations=False)) - {name}
-            if f"{name} imports {other}" not in THIN
+            imported
+            for imported in modules_of(imports_of(name, annotations=False)) - {name}
+            if f"{name} imports {imported}" not in THIN
         }
         for name in TREES
     }
@@ -150,17 +150,17 @@ def test_the_command_line_computes_nothing() -> None:
 
 def test_what_is_slow_to_load_is_loaded_where_it_is_needed(small_run, tmp_path) -> None:
     command = "from mfd_bayes.cli.commands import main; main()"
-    shown = "import mfd_bayes as mb; mb.open_run(sys.argv[1])._repr_html_()"
+    display = "import mfd_bayes as mb; mb.open_run(sys.argv[1])._repr_html_()"
     sine = ("predict", small_run, "--sine", "1 in, 1 Hz, 2 cycles", "--actuation", "500 psi")
     sine += ("--no-figures", "-o", tmp_path / "bands.csv")
     for code, words, slow in (
         ("import mfd_bayes", (), {"numpy", "scipy", "emcee", "arviz", "matplotlib", "pandas"}),
         (command, ("--help",), {"numpy", "scipy", "pydantic", "pint", "importlib.metadata"}),
-        (shown, (small_run,), {"matplotlib", "arviz"}),
+        (display, (small_run,), {"matplotlib", "arviz"}),
         (command, sine, {"pint", "pandas", "scipy.optimize", "xarray"}),
     ):
         loaded = f"atexit.register(lambda: print('loaded', {slow!r} & {{*sys.modules}}))"
         code = f"import atexit, sys; {loaded}; {code}"
         python = [sys.executable, "-W", "ignore", "-c", code, *map(str, words)]
-        done = subprocess.run(python, capture_output=True, text=True, check=True)
-        assert done.stdout.splitlines()[-1] == "loaded set()", done.stderr
+        process = subprocess.run(python, capture_output=True, text=True, check=True)
+        assert process.stdout.splitlines()[-1] == "loaded set()", process.stderr

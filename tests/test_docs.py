@@ -58,12 +58,12 @@ class Block:
 
 
 def blocks_of(page, text):
-    found = []
+    blocks = []
     fence = re.compile(r"^```(\w+)(.*?)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
     for match in fence.finditer(text):
         line = text.count("\n", 0, match.start(3)) + 1
-        found.append(Block(page, line, match[1], match[2], match[3]))
-    return found
+        blocks.append(Block(page, line, match[1], match[2], match[3]))
+    return blocks
 
 
 def runnable(page):
@@ -86,9 +86,9 @@ class Reader:
 
     def run_text(self, block):
         """Compare what a page says that the last command printed; … stands for lines left out."""
-        said = {line.rstrip() for line in self.said.splitlines()}
+        printed = {line.rstrip() for line in self.said.splitlines()}
         for number, line in enumerate(block.code.splitlines(), block.line):
-            if line.strip() != "…" and line not in said:
+            if line.strip() != "…" and line not in printed:
                 pytest.fail(f"{block.page}:{number}: not printed: {line}")
 
     def run_python(self, block):
@@ -97,16 +97,16 @@ class Reader:
             exec(code, self.names)
         except BaseException as error:
             frames = traceback.extract_tb(error.__traceback__)
-            at = [frame.lineno for frame in frames if frame.filename == block.page]
-            pytest.fail(f"{block.page}:{at[-1] if at else block.line}: {error!r}")
+            lines = [frame.lineno for frame in frames if frame.filename == block.page]
+            pytest.fail(f"{block.page}:{lines[-1] if lines else block.line}: {error!r}")
 
     def run_bash(self, block):
         command = ["bash", "-euxo", "pipefail", "-c", block.code]
         how = {"capture_output": True, "text": True, "timeout": 300, "check": False}
-        done = subprocess.run(command, env=self.environment, **how)
-        if done.returncode != 0:
-            pytest.fail(f"{block.page}:{block.line}: exit code {done.returncode}\n{done.stderr}")
-        self.said = done.stdout
+        shell = subprocess.run(command, env=self.environment, **how)
+        if shell.returncode != 0:
+            pytest.fail(f"{block.page}:{block.line}: exit code {shell.returncode}\n{shell.stderr}")
+        self.said = shell.stdout
 
 
 @pytest.fixture
@@ -150,14 +150,14 @@ def test_the_blocks_of_a_page_run_in_order_and_make_its_pictures(pages, folder, 
 
 def made_pictures(page):
     """Pictures of a page that its blocks make; docs/sketches.py makes the others."""
-    shown = re.findall(r"\]\(assets/([\w-]+\.png)\)", PAGES[page].read_text(encoding="utf-8"))
-    return sorted(set(shown) - SCREENSHOTS)
+    pictures = re.findall(r"\]\(assets/([\w-]+\.png)\)", PAGES[page].read_text(encoding="utf-8"))
+    return sorted(set(pictures) - SCREENSHOTS)
 
 
 def test_every_picture_of_a_page_is_there():
     folder = ROOT / "docs/pages/assets"
-    shown = {name for page in PAGES for name in made_pictures(page)}
-    assert {path.name for path in folder.glob("*.png")} == shown | SCREENSHOTS
+    pictures = {name for page in PAGES for name in made_pictures(page)}
+    assert {path.name for path in folder.glob("*.png")} == pictures | SCREENSHOTS
 
 
 @pytest.mark.slow
@@ -181,11 +181,11 @@ def test_a_broken_block_or_words_that_were_not_printed_fail_with_their_line(fold
         (printed, "page.md:8: not printed: three"),
     ):
         reader = Reader()
-        *blocks, last = blocks_of("page.md", text)
+        *blocks, broken = blocks_of("page.md", text)
         for block in blocks:
             reader.run(block)
         with pytest.raises(pytest.fail.Exception, match=f"^{words}"):
-            reader.run(last)
+            reader.run(broken)
 
 
 def test_the_reference_of_the_campaign_file_has_every_table_and_each_key_a_meaning():
@@ -230,8 +230,8 @@ def test_the_targets_of_sampling_are_the_efforts():
 
 def test_every_public_name_is_in_the_reference():
     text = PAGES["python.md"].read_text(encoding="utf-8")
-    shown = set(re.findall(r"^::: .*\.(\w+)$", text, re.MULTILINE))
-    assert shown - {"TestResult"} == set(mb.__all__)  # TestResult: what run.tests holds
+    documented = set(re.findall(r"^::: .*\.(\w+)$", text, re.MULTILINE))
+    assert documented - {"TestResult"} == set(mb.__all__)  # TestResult: what run.tests holds
 
 
 def test_names_commands_and_files_that_are_named_exist():
@@ -247,13 +247,13 @@ def test_names_commands_and_files_that_are_named_exist():
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    out = tmp_path_factory.mktemp("site")
-    words = ["mkdocs", "build", "--strict", "-f", ROOT / "docs/mkdocs.yml", "-d", out]
+    output = tmp_path_factory.mktemp("site")
+    words = ["mkdocs", "build", "--strict", "-f", ROOT / "docs/mkdocs.yml", "-d", output]
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
     how = {"capture_output": True, "text": True, "timeout": 300, "check": False}
-    done = subprocess.run([sys.executable, "-m", *words], env=environment, **how)
-    assert done.returncode == 0, done.stderr
-    return out
+    process = subprocess.run([sys.executable, "-m", *words], env=environment, **how)
+    assert process.returncode == 0, process.stderr
+    return output
 
 
 @needs_docs

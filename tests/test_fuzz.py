@@ -84,13 +84,13 @@ def damaged_files(draw):
     name = draw(st.sampled_from(sorted(SEEDS)))
     content = SEEDS[name]
     for _ in range(draw(st.integers(1, 4))):
-        at, last = draw(st.integers(0, len(content))), len(content)
-        size = draw(st.sampled_from((0, 1, 1, 4, 8, 40, last)))
-        other = content[(start := draw(st.integers(0, last))) : start + 40]
-        repeated = content[at : at + size] * draw(st.integers(0, 30))
-        new = st.sampled_from(WORDS).map(str.encode) | st.binary(min_size=min(size, 8), max_size=8)
-        new = draw(new | st.sampled_from((other, repeated)))
-        content = content[:at] + new + content[at + size :]
+        position, length = draw(st.integers(0, len(content))), len(content)
+        size = draw(st.sampled_from((0, 1, 1, 4, 8, 40, length)))
+        excerpt = content[(start := draw(st.integers(0, length))) : start + 40]
+        repeated = content[position : position + size] * draw(st.integers(0, 30))
+        edit = st.sampled_from(WORDS).map(str.encode) | st.binary(min_size=min(size, 8), max_size=8)
+        edit = draw(edit | st.sampled_from((excerpt, repeated)))
+        content = content[:position] + edit + content[position + size :]
     return name, content
 
 
@@ -102,12 +102,12 @@ def folder(tmp_path_factory):
         raise RuntimeError(f"more than {SECONDS} s")
 
     signal.signal(signal.SIGPROF, stop)
-    before = resource.getrlimit(resource.RLIMIT_AS)
+    limits = resource.getrlimit(resource.RLIMIT_AS)
     if Path("/proc/self/statm").is_file():
-        taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, before[1]))
+        usage = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (usage + MEMORY, limits[1]))
     yield tmp_path_factory.mktemp("fuzz")
-    resource.setrlimit(resource.RLIMIT_AS, before)
+    resource.setrlimit(resource.RLIMIT_AS, limits)
     signal.setitimer(signal.ITIMER_PROF, 0)
 
 

@@ -94,12 +94,12 @@ def forces(data):
         yield f"records/{quake}/force_at_64Hz/kip", at_64.force
         for rate, trace in {"64Hz": at_64, "all_samples": record.trace()}.items():
             changing = 0.036 * varying(trace.time)
-            kept = slice(None, None, max(1, trace.samples // 1000))
+            columns = slice(None, None, max(1, trace.samples // 1000))
             for kind, actuation in {"constant": 0.036, "varying": changing}.items():
                 moved = mb.Trace.from_arrays(trace.time, trace.displacement, actuation=actuation)
                 for name, model in MODELS.items():
                     key = f"forces/{name}/{quake}_{rate}/{kind}_actuation/start_0.2/kip"
-                    yield key, model.force(theta_of(name, 2), moved, 0.2)[:, kept]
+                    yield key, model.force(theta_of(name, 2), moved, 0.2)[:, columns]
 
 
 def measured(motion):
@@ -107,49 +107,49 @@ def measured(motion):
     t, x = motions()[motion]
     trace = mb.Trace.from_arrays(t, x, actuation=1.0)
     force = MODELS["three_stage"].force(theta_of("three_stage", 1), trace, VALUES["start"])[0]
-    left = 0.06 * np.random.default_rng(7).normal(size=t.size)
-    left[0] = 0.0
+    noise = 0.06 * np.random.default_rng(7).normal(size=t.size)
+    noise[0] = 0.0
     for i in range(1, t.size):
-        left[i] += 0.8 * left[i - 1]
-    return mb.Trace.from_arrays(t, x, actuation=1.0, force=force + VALUES["offset"] + left)
+        noise[i] += 0.8 * noise[i - 1]
+    return mb.Trace.from_arrays(t, x, actuation=1.0, force=force + VALUES["offset"] + noise)
 
 
 def densities(data):
     """Log densities of fixed parameters, for every noise and model, by their paths."""
-    known = values_of(5)
+    values = values_of(5)
     records = {motion: (measured(motion), "mfd") for motion in ("full_cycles", "many_turns")}
     records |= {name: (r.trace(rate=64.0), "brfd") for name, r in earthquakes(data).items()}
     for motion, (trace, priors) in records.items():
         for name in MODELS:
             for noise in NOISES:
                 posterior = mb.Posterior(trace, priors=priors, noise=noise, model=name)
-                q = posterior.coordinates({key: known[key] for key in posterior.names})
+                q = posterior.coordinates({key: values[key] for key in posterior.names})
                 key = f"densities/{name}/{motion}/{noise}"
                 yield f"{key}/coordinates", q
                 yield f"{key}/log_prob", posterior.log_prob(q)[:, None]
                 yield f"{key}/log_likelihood", posterior.log_likelihood(q)[:, None]
 
 
-def difference(new, old):
+def difference(actual, expected):
     """Largest difference of two arrays over the largest number of its row; infinite: not alike."""
-    if new is None or old is None or new.shape != old.shape:
+    if actual is None or expected is None or actual.shape != expected.shape:
         return np.inf
-    if not np.array_equal(np.isfinite(new), np.isfinite(old)):
+    if not np.array_equal(np.isfinite(actual), np.isfinite(expected)):
         return np.inf
-    off = ~np.isfinite(old)
-    if not np.array_equal(new[off], old[off], equal_nan=True):
+    undefined = ~np.isfinite(expected)
+    if not np.array_equal(actual[undefined], expected[undefined], equal_nan=True):
         return np.inf
-    scale = np.max(np.abs(np.where(off, 0.0, old)), axis=-1, keepdims=True, initial=0.0)
-    apart = np.abs(np.where(off, 0.0, new - np.where(off, 0.0, old)))
-    return float(np.max(apart / np.where(scale > 0.0, scale, 1.0), initial=0.0))
+    scale = np.max(np.abs(np.where(undefined, 0.0, expected)), axis=-1, keepdims=True, initial=0.0)
+    deviation = np.abs(np.where(undefined, 0.0, actual - np.where(undefined, 0.0, expected)))
+    return float(np.max(deviation / np.where(scale > 0.0, scale, 1.0), initial=0.0))
 
 
 @pytest.mark.slow
 def test_forces_and_densities_are_the_golden_ones(data_folder):
-    new = dict(forces(data_folder)) | dict(densities(data_folder))
+    actual = dict(forces(data_folder)) | dict(densities(data_folder))
     if os.environ.get("MFD_BAYES_GOLDEN"):
-        np.savez_compressed(FILE, **new)
-    old = dict(np.load(FILE))
-    for key in sorted(new | old):
+        np.savez_compressed(FILE, **actual)
+    expected = dict(np.load(FILE))
+    for key in sorted(actual | expected):
         allowed = OF_BACKLASH if key.startswith("forces/backlash/") else TOLERANCE
-        assert difference(new.get(key), old.get(key)) <= allowed, key
+        assert difference(actual.get(key), expected.get(key)) <= allowed, key

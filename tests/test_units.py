@@ -39,7 +39,7 @@ def test_factors_match_the_definitions():
 
 
 def test_the_usual_spellings_of_laboratories_are_understood():
-    for kind, plain, spellings in (
+    for kind, unit, spellings in (
         ("time", "s", "S sec Sec SEC secs Secs sec. second Seconds SECONDS"),
         ("displacement", "in", "In IN in. inch Inch inches Inches"),
         ("displacement", "mm", "MM millimeter Millimetres"),
@@ -51,8 +51,8 @@ def test_the_usual_spellings_of_laboratories_are_understood():
         ("stiffness", "kip/in", "Kips/In kips/inch"),
     ):
         for spelling in spellings.split():
-            assert factor(spelling, kind) == pytest.approx(factor(plain, kind), rel=1e-12), spelling
-            assert same_unit(spelling, plain)
+            assert factor(spelling, kind) == pytest.approx(factor(unit, kind), rel=1e-12), spelling
+            assert same_unit(spelling, unit)
 
 
 def test_a_prefix_is_not_taken_for_another():
@@ -81,9 +81,9 @@ def test_malformed_offset_and_logarithmic_units_are_unit_errors():
         for kind in DIMENSIONS:
             with pytest.raises(UnitError):
                 factor(unit, kind)
-    for unit, other in (("degC", "K"), ("dB", "1")):
+    for unit, target in (("degC", "K"), ("dB", "1")):
         with pytest.raises(UnitError, match="plain multiple"):
-            convert(unit, other)
+            convert(unit, target)
 
 
 def test_quantities_come_out_in_internal_units():

@@ -72,16 +72,16 @@ def production_test(rng, fault):
     return draw_record(values, FREQUENCY, CYCLES, rng)
 
 
-def prototype(home, seed):
+def prototype(folder, seed):
     """Calibrated run of twelve tests of a prototype; a stored one is opened."""
-    if not (home / "out" / "report.html").exists():
-        home.mkdir(parents=True, exist_ok=True)
-        write_campaign(home, seed, MATRIX)
-        path = home / "campaign.toml"
+    if not (folder / "out" / "report.html").exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        write_campaign(folder, seed, MATRIX)
+        path = folder / "campaign.toml"
         text = path.read_text(encoding="utf-8")
         path.write_text(text.replace('"ou"', '"ou"\nrate = "50 Hz"\nnoise_check = false'), "utf-8")
-        common.command("calibrate", path, "-o", home / "out", "--effort", "quick", "--force")
-    return mb.open_run(home / "out")
+        common.command("calibrate", path, "-o", folder / "out", "--effort", "quick", "--force")
+    return mb.open_run(folder / "out")
 
 
 def comparison(run, folder, rng, draws):
@@ -95,21 +95,21 @@ def comparison(run, folder, rng, draws):
     expected = acceptance.expect(run, acceptance.trace_of(run, record), "", **how)
 
     def compare(force):
-        made = replace(record, force=force)
-        group = (acceptance.compare_record(made, acceptance.trace_of(run, made), expected),)
+        altered = replace(record, force=force)
+        group = (acceptance.compare_record(altered, acceptance.trace_of(run, altered), expected),)
         return group, acceptance.Level.of(group, independent=True)
 
     return compare
 
 
-def counted(what, judged, right=()):
+def counted(label, judged, expected=()):
     verdicts = Counter(device.verdict for device in judged)
-    different = [device for device in judged if device.p_value < 0.05]
-    row = {"devices": what, "number": len(judged), "differs": share(len(different), len(judged))}
+    significant = [device for device in judged if device.p_value < 0.05]
+    row = {"devices": label, "number": len(judged), "differs": share(len(significant), len(judged))}
     row |= {name: verdicts[name] for name in ("rejected", "cannot tell", "accepted")}
-    if right and different:
-        named = sum(device.named in right for device in different)
-        row["named rightly"] = share(named, len(different))
+    if expected and significant:
+        named = sum(device.named in expected for device in significant)
+        row["named rightly"] = share(named, len(significant))
     return row
 
 
@@ -118,8 +118,8 @@ def good(options):
     rng, pool = np.random.default_rng(7), []
     count, number, faulty = (1, 40, 4) if options.quick else (options.prototypes, 2000, 200)
     for seed in range(1, count + 1):
-        home = options.out / f"s{seed}"
-        pool.append(comparison(prototype(home, seed), home, rng, 4000))
+        directory = options.out / f"s{seed}"
+        pool.append(comparison(prototype(directory, seed), directory, rng, 4000))
 
     def judged(number, fault):
         devices = []
@@ -131,7 +131,7 @@ def good(options):
     fine = judged(number, {})
     print(f"{count} runs of 12 tests of a prototype, {CYCLES} cycles of each device; limits 15 %")
     rows = [counted("good", fine)]
-    rows += [counted(name, judged(faulty, f), right) for name, (f, right) in FAULTS.items()]
+    rows += [counted(name, judged(faulty, f), expected) for name, (f, expected) in FAULTS.items()]
     table(rows)
     print("\nPower at a good device: a deviation that is found with 0.80")
     detectable = pd.DataFrame([device.rows["detectable"] for device in fine]).mean()
@@ -172,29 +172,31 @@ def drift(options):
 # --- real devices
 
 
-def changed(record, kind, by):
+def changed(record, kind, shift):
     """A record with a planted fault: the force of both directions, or of one."""
     forward = np.gradient(record.displacement, record.time) > 0.0
-    return replace(record, force=record.force * np.where(forward | (kind == "slip"), 1.0 + by, 1.0))
+    return replace(
+        record, force=record.force * np.where(forward | (kind == "slip"), 1.0 + shift, 1.0)
+    )
 
 
 def real(options):
-    planted = [("slip", by) for by in (0.0, -0.05, 0.05, -0.10, 0.10, -0.20, 0.20)]
+    planted = [("slip", shift) for shift in (0.0, -0.05, 0.05, -0.10, 0.10, -0.20, 0.20)]
     planted += [("forward only", 0.20)]
     for session in options.sessions:
         run, rows = common.calibrated(options, session), []
         files = {test.id: test.file for test in run.manifest.settings.test}
         for name in list(run.tests)[: 1 if options.quick else None]:
-            kept = [other for other in run.tests if other != name]
-            other = common.without(run, kept, "quick", (1, 2))
+            names = [reference for reference in run.tests if reference != name]
+            reference = common.without(run, names, "quick", (1, 2))
             path = options.out / f"campaign_{run.folder.name}" / files[name]
             columns = {}
             if name.endswith("_SI"):
                 columns = {"displacement": "displacement_m", "force": "force_N"}
             record = mb.read_record(path, columns=columns, actuation=f"{name.split('lb')[0]} lbf")
-            for kind, by in planted:
-                (device,) = mb.accept(other, changed(record, kind, by))
-                words = f"{kind} {100 * by:+.0f} %" if by else "nothing"
+            for kind, shift in planted:
+                (device,) = mb.accept(reference, changed(record, kind, shift))
+                words = f"{kind} {100 * shift:+.0f} %" if shift else "nothing"
                 row = {"record": name, "planted": words, "p": round(device.p_value, 3)}
                 rows.append(row | {"verdict": device.verdict, "named": device.named})
             print(f"{name}: done", file=sys.stderr, flush=True)
@@ -206,9 +208,9 @@ def real(options):
         print(f"\nof {frame['record'].nunique()} records\n{counts.to_string()}\n")
     if options.quick or "2022-07" not in options.sessions:
         return
-    before, rows = common.calibrated(options, "2022-07"), []
+    earlier, rows = common.calibrated(options, "2022-07"), []
     for path in sorted((options.data / "brfd").glob("2023_30lb_*_1.0in.csv")):
-        (device,) = mb.accept(before, mb.read_record(path, actuation="30 lbf"), device=path.stem)
+        (device,) = mb.accept(earlier, mb.read_record(path, actuation="30 lbf"), device=path.stem)
         row = {"2023 against 2022": path.stem, "p": round(device.p_value, 3)}
         row |= {"verdict": device.verdict, "named": device.named}
         for name in (*SLIP, "energy_per_cycle"):
@@ -221,7 +223,7 @@ ACTIONS = {"good": good, "drift": drift, "real": real}
 
 
 def main():
-    parser = common.parser_of(__doc__, data=True, jobs=2, out="out_heldout")
+    parser = common.parser_of(__doc__, data=True, jobs=2, output="out_heldout")
     parser.add_argument("what", choices=ACTIONS)
     parser.add_argument("--prototypes", type=int, default=5)
     parser.add_argument("--sessions", nargs="+", default=["2023-04", "2022-07"])

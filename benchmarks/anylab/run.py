@@ -27,15 +27,15 @@ def main() -> None:
 
 
 def line_of(device: Device, folder: Path) -> str:
-    truth, campaign, out = write_device(folder, device), folder / "campaign.toml", folder / "out"
+    truth, campaign, output = write_device(folder, device), folder / "campaign.toml", folder / "out"
     begin = time.monotonic()
     common.command("init", folder)
     if not device.named:
         complete(campaign, device)
         common.command("init", campaign)
     checked = common.command("prior-check", campaign, "-o", folder, may_fail=True)
-    common.command("calibrate", campaign, "-o", out, "--effort", "quick", "--jobs", 1)
-    run = open_run(out)
+    common.command("calibrate", campaign, "-o", output, "--effort", "quick", "--jobs", 1)
+    run = open_run(output)
     rows = [
         (row, truth[row.subject][row.name])
         for view in assess(run).tests

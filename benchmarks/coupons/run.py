@@ -50,8 +50,8 @@ def fit(model: mb.Model, traces: list[mb.Trace]) -> np.ndarray:
 
     def residual(x):
         theta = values(np.atleast_2d(x))
-        parts = [model.force(theta, t) - np.asarray(t.force) for t in traces]
-        return np.concatenate(parts, axis=1) / 30.0
+        residuals = [model.force(theta, t) - np.asarray(t.force) for t in traces]
+        return np.concatenate(residuals, axis=1) / 30.0
 
     def slopes(x):
         steps = residual(np.vstack([x, x + 1e-5 * np.eye(x.size)]))
@@ -61,18 +61,18 @@ def fit(model: mb.Model, traces: list[mb.Trace]) -> np.ndarray:
     return values(best.x)
 
 
-def least_squares_crps(run: mb.Run, folds: list[Fold], same: slice) -> dict[str, float]:
+def least_squares_crps(run: mb.Run, folds: list[Fold], letters: slice) -> dict[str, float]:
     """CRPS of each coupon under the fit to kept ones that share part of its name, and their sd."""
     traces, scores = {name: test.trace for name, test in run.tests.items()}, {}
     for fold in folds:
-        for kind in {name[same] for name in fold.left_out}:
-            fitted = [traces[n] for n in fold.kept if n[same] == kind]
+        for kind in {name[letters] for name in fold.left_out}:
+            fitted = [traces[n] for n in fold.kept if n[letters] == kind]
             best = fit(run.model, fitted)
             sd = np.std(np.concatenate([residual(run.model, best, trace) for trace in fitted]))
-            for name in (n for n in fold.left_out if n[same] == kind):
+            for name in (n for n in fold.left_out if n[letters] == kind):
                 z = residual(run.model, best, traces[name]) / sd
-                parts = z * (2.0 * norm.cdf(z) - 1.0) + 2.0 * norm.pdf(z) - 1.0 / np.sqrt(np.pi)
-                scores[name] = float(sd * np.mean(parts))
+                terms = z * (2.0 * norm.cdf(z) - 1.0) + 2.0 * norm.pdf(z) - 1.0 / np.sqrt(np.pi)
+                scores[name] = float(sd * np.mean(terms))
     return scores
 
 
@@ -84,64 +84,64 @@ def residual(model: mb.Model, theta: np.ndarray, trace: mb.Trace) -> np.ndarray:
 def folds_of(run: mb.Run, number: int, effort: str) -> list[Fold]:
     """Folds with one coupon of each bar each, as far as they go."""
     names = list(run.tests)
-    place = {n: [m for m in names if m[:2] == n[:2]].index(n) for n in names}
+    position = {n: [m for m in names if m[:2] == n[:2]].index(n) for n in names}
     folds = []
     for k in range(number):
-        away = tuple(n for n in names if place[n] % number == k)
-        kept = tuple(n for n in names if n not in away)
-        folds.append(Fold(f"{k + 1}", f"fold_{number}_{k + 1}.json", away, kept, effort, 1))
+        left_out = tuple(n for n in names if position[n] % number == k)
+        retained = tuple(n for n in names if n not in left_out)
+        folds.append(Fold(f"{k + 1}", f"fold_{number}_{k + 1}.json", left_out, retained, effort, 1))
     return folds
 
 
 def main() -> None:
-    parser = common.parser_of(__doc__ or "", data=True, jobs=2, out="out_coupons")
+    parser = common.parser_of(__doc__ or "", data=True, jobs=2, output="out_coupons")
     parser.add_argument("--folds", type=int, default=5)
     options = common.begin(parser)
     effort = "quick" if options.quick else "standard"
     folder = options.out / effort
     shutil.copytree(common.PROJECT / "examples" / "coupons", folder, dirs_exist_ok=True)
     shutil.copytree(options.data / "coupons", folder, dirs_exist_ok=True)
-    out, began = folder / "out", time.perf_counter()
-    if not (out / "report.html").is_file():
+    run_folder, began = folder / "out", time.perf_counter()
+    if not (run_folder / "report.html").is_file():
         how = ("--resume", "--jobs", options.jobs, "--effort", effort)
-        common.command("calibrate", folder / "campaign.toml", "-o", out, *how)
+        common.command("calibrate", folder / "campaign.toml", "-o", run_folder, *how)
         print(f"calibrate: {time.perf_counter() - began:.0f} s, load {os.getloadavg()[0]:.1f}")
-    run = mb.open_run(out)
-    found = run.population.convergence
-    print(f"population: R-hat {found.worst_r_hat:.4f}, ESS {found.worst_ess:.0f}")
+    run = mb.open_run(run_folder)
+    convergence = run.population.convergence
+    print(f"population: R-hat {convergence.worst_r_hat:.4f}, ESS {convergence.worst_ess:.0f}")
     facts = [test.stored.facts["convergence"] for test in run.tests.values()]
-    figures = np.array([three for each in facts for three in each.values()])
+    figures = np.array([three for fact in facts for three in fact.values()])
     print(f"coupons alone: R-hat <= {figures[:, 0].max():.4f}, ESS >= {figures[:, 1:].min():.0f}\n")
 
     folds = folds_of(run, options.folds, effort)[: 1 if options.quick else None]
     predictions = run_folds(run, folds, RunOptions(jobs=options.jobs), lambda _: None)
     scores = {p.test: p.score for p in predictions}
-    others = [least_squares_crps(run, folds, slice(0, letters)) for letters in (2, 1, 0)]
+    baselines = [least_squares_crps(run, folds, slice(0, letters)) for letters in (2, 1, 0)]
     print("CRPS, MPa                                       least squares with its residual sd, of")
     print("coupon   covers 50 %   95 %   width        ours      its bar     its mill    all others")
     for name, s in scores.items():
-        values = " ".join(f"{other[name]:12.1f}" for other in others)
+        values = " ".join(f"{baseline[name]:12.1f}" for baseline in baselines)
         print(f"{name:6} {100 * s.coverage[0]:12.1f} {100 * s.coverage[-1]:6.1f} {s.width:7.0f} "
               f"{s.crps:11.1f} {values}")  # fmt: skip
-    half, _, most = 100.0 * np.mean([s.coverage for s in scores.values()], axis=0)
+    half, _, coverage = 100.0 * np.mean([s.coverage for s in scores.values()], axis=0)
     ours = np.array([s.crps for s in scores.values()])
-    theirs = np.array([[other[name] for name in scores] for other in others])
+    theirs = np.array([[baseline[name] for name in scores] for baseline in baselines])
     means = " ".join(f"{mean:12.1f}" for mean in theirs.mean(axis=1))
-    print(f"mean   {half:12.1f} {most:6.1f} {'':7} {ours.mean():11.1f} {means}")
+    print(f"mean   {half:12.1f} {coverage:6.1f} {'':7} {ours.mean():11.1f} {means}")
 
     print(
         "\nbetween coupons, jointly: ours, mean and sd   quoFEM, mean and sd   moved by, prior sds"
     )
     for name, (middle, sd, start, prior) in QUOFEM.items():
         medians = [np.median(run.sequence.values(test)[name]) for test in run.tests]
-        own = np.mean(medians), np.std(medians, ddof=1)
-        print(f"{name:12} {own[0]:14.5g} {own[1]:10.3g} {middle:14.5g} {sd:10.3g}"
-              f"{(own[0] - start) / prior:12.1f} {(middle - start) / prior:6.1f}")  # fmt: skip
+        fitted = np.mean(medians), np.std(medians, ddof=1)
+        print(f"{name:12} {fitted[0]:14.5g} {fitted[1]:10.3g} {middle:14.5g} {sd:10.3g}"
+              f"{(fitted[0] - start) / prior:12.1f} {(middle - start) / prior:6.1f}")  # fmt: skip
     failed = [] if 42.0 <= half <= 58.0 else [f"50 % bands hold {half:.1f} %"]
-    failed += [] if 92.0 <= most <= 97.0 else [f"95 % bands hold {most:.1f} %"]
-    for which, worse in zip(("bar", "mill", "all"), ours - theirs, strict=True):
+    failed += [] if 92.0 <= coverage <= 97.0 else [f"95 % bands hold {coverage:.1f} %"]
+    for label, worse in zip(("bar", "mill", "all"), ours - theirs, strict=True):
         if np.mean(worse) > 2.0 * np.std(worse, ddof=1) / np.sqrt(worse.size):
-            failed.append(f"least squares of {which} is nearer")
+            failed.append(f"least squares of {label} is nearer")
     common.finish([] if options.quick else failed)
 
 

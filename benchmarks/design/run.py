@@ -41,34 +41,38 @@ BASIS = {
 def bounded(run: Run, effort: str) -> Iterator[dict]:
     """Own value and bounds of every property of every test left out."""
     for fold in folds_of(run, "level", effort):
-        others = common.without(run, fold.kept, effort, (run.manifest.seed, 2))
+        subset = common.without(run, fold.kept, effort, (run.manifest.seed, 2))
         for name in fold.left_out:
-            own = measured_properties(measured_of(run.manifest, name))
+            values = measured_properties(measured_of(run.manifest, name))
             trace = replace(run.tests[name].trace, force=None)
             for probability in PROBABILITIES:
-                rows = {(r["name"], r["basis"]): r for r in design_rows(others, trace, probability)}
-                for what, basis in BASIS.items():
-                    line = {"test": name, "probability": probability, "property": what}
+                rows = {(r["name"], r["basis"]): r for r in design_rows(subset, trace, probability)}
+                for quantity, basis in BASIS.items():
+                    line = {"test": name, "probability": probability, "property": quantity}
                     bounds = ("lower", "upper", "lambda_min", "lambda_max")
-                    yield line | {"own": own[what]} | {k: rows[what, basis][k] for k in bounds}
+                    yield (
+                        line
+                        | {"own": values[quantity]}
+                        | {k: rows[quantity, basis][k] for k in bounds}
+                    )
         print(f"without {fold.part}: done", file=sys.stderr, flush=True)
 
 
-def show(found: pd.DataFrame) -> None:
+def show(table: pd.DataFrame) -> None:
     """Print the bounds of every test, and the shares inside."""
-    found["inside"] = (found["lower"] <= found["own"]) & (found["own"] <= found["upper"])
-    most = found[found["probability"] == PROBABILITIES[-1]].drop(columns="probability")
-    print(f"\n  bounds of 95 %\n{most.to_string(index=False, float_format='%.3f')}")
+    table["inside"] = (table["lower"] <= table["own"]) & (table["own"] <= table["upper"])
+    widest = table[table["probability"] == PROBABILITIES[-1]].drop(columns="probability")
+    print(f"\n  bounds of 95 %\n{widest.to_string(index=False, float_format='%.3f')}")
     print("\n  share of tests inside the bounds (number that chance allows in 95 of 100 cases,")
     print("  where the tests of one tension, predicted together, lie inside or outside together)")
     print(f"  {'property':18s} " + "  ".join(f"{100 * p:12g} %" for p in PROBABILITIES))
-    for what in BASIS:
+    for quantity in BASIS:
         cells = []
         for probability in PROBABILITIES:
-            those = found[(found["probability"] == probability) & (found["property"] == what)]
-            low, high = chance([name.split("_")[0] for name in those["test"]], probability)
-            cells.append(f"{those['inside'].sum():2d} of {len(those):2d} ({low} to {high})")
-        print(f"  {what:18s} " + "  ".join(f"{cell:>14s}" for cell in cells))
+            rows = table[(table["probability"] == probability) & (table["property"] == quantity)]
+            low, high = chance([name.split("_")[0] for name in rows["test"]], probability)
+            cells.append(f"{rows['inside'].sum():2d} of {len(rows):2d} ({low} to {high})")
+        print(f"  {quantity:18s} " + "  ".join(f"{cell:>14s}" for cell in cells))
 
 
 def chance(groups: list[str], probability: float) -> tuple[int, int]:
@@ -76,13 +80,13 @@ def chance(groups: list[str], probability: float) -> tuple[int, int]:
     density = np.ones(1)
     for size in Counter(groups).values():
         density = np.convolve(density, [1 - probability, *[0] * (size - 1), probability])
-    below = np.cumsum(density)
-    low, high = (int(np.searchsorted(below, q - 1e-12)) for q in (0.025, 0.975))
+    cumulative = np.cumsum(density)
+    low, high = (int(np.searchsorted(cumulative, q - 1e-12)) for q in (0.025, 0.975))
     return low, high
 
 
 def main() -> None:
-    parser = common.parser_of(__doc__ or "", data=True, jobs=2, out="out_heldout")
+    parser = common.parser_of(__doc__ or "", data=True, jobs=2, output="out_heldout")
     options = common.begin(parser)
     run = common.calibrated(options, "2022-07")
     print(f"{len(run.tests)} tests, each tension left out")

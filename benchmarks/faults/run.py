@@ -71,23 +71,23 @@ def behaviour(text):
 
 def faults():
     """Faults in random order: module, line, operator, and the code without and with it."""
-    every = [w.mutations[0] for w in _all_work_items(sorted(Path("mfd_bayes").rglob("*.py")), {})]
-    random.Random(SEED).shuffle(every)
-    for m in every:
+    sites = [w.mutations[0] for w in _all_work_items(sorted(Path("mfd_bayes").rglob("*.py")), {})]
+    random.Random(SEED).shuffle(sites)
+    for m in sites:
         text = m.module_path.read_text("utf-8")
-        new = mutate_code(text, get_operator(m.operator_name)(), m.occurrence)
-        if not BITS.search(m.operator_name) and behaviour(new) not in ("", behaviour(text)):
-            yield m.module_path, m.start_pos[0], m.operator_name.split("/")[1], text, new
+        mutant = mutate_code(text, get_operator(m.operator_name)(), m.occurrence)
+        if not BITS.search(m.operator_name) and behaviour(mutant) not in ("", behaviour(text)):
+            yield m.module_path, m.start_pos[0], m.operator_name.split("/")[1], text, mutant
 
 
 def tests_of(path, line, data):
     """Tests that run a statement, or any function of its module where it runs on import."""
     nodes = [n for n in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(n, ast.stmt)]
     functions = [n for n in nodes if isinstance(n, ast.FunctionDef)]
-    around = [n for n in nodes if n.lineno <= line <= n.end_lineno]
-    inner = max(around, key=lambda n: (n.lineno, -n.end_lineno), default=None)
-    inside = any(f in around and f is not inner for f in functions)
-    run = [inner] if inner and inside else functions
+    enclosing = [n for n in nodes if n.lineno <= line <= n.end_lineno]
+    inner = max(enclosing, key=lambda n: (n.lineno, -n.end_lineno), default=None)
+    nested = any(f in enclosing and f is not inner for f in functions)
+    run = [inner] if inner and nested else functions
     lines = {m for n in run for m in range(n.lineno + (n in functions), n.end_lineno + 1)}
     contexts = data.contexts_by_lineno(str(path.resolve()))
     matches = {CONTEXT.fullmatch(c) for n in lines for c in contexts.get(n, ())} - {None}
@@ -99,32 +99,32 @@ def tests_of(path, line, data):
 
 def notices(names):
     """The first of some tests that fails, or "timeout"; "" where none does."""
-    chosen = [n for i, n in enumerate(names) if sum(seconds[m] for m in names[: i + 1]) < SECONDS]
-    Path("names").write_text("\n".join(chosen))
+    selected = [n for i, n in enumerate(names) if sum(seconds[m] for m in names[: i + 1]) < SECONDS]
+    Path("names").write_text("\n".join(selected))
     command = ["prlimit", "--as=6000000000", sys.executable, "-m", "pytest", "-x", "-q", *OURS]
     try:
-        done = subprocess.run([*command, "@names"], capture_output=True, text=True, timeout=1800)
+        process = subprocess.run([*command, "@names"], capture_output=True, text=True, timeout=1800)
     except subprocess.TimeoutExpired:
         return "timeout"
-    failed = re.search(r"^(?:FAILED|ERROR):? (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
-    return "" if done.returncode == 0 else failed[1] if failed else "on import"
+    failed = re.search(r"^(?:FAILED|ERROR):? (.+?)(?: - .*)?$", process.stdout, re.MULTILINE)
+    return "" if process.returncode == 0 else failed[1] if failed else "on import"
 
 
-def attempt(first, last):
+def attempt(start, stop):
     """Try the faults of some numbers; print each, and the share noticed of each room."""
     (data := coverage.CoverageData(".coverage")).read()
     seconds.update(json.loads(Path("tests.json").read_text()))
     rooms = {}
-    for path, line, operator, text, new in itertools.islice(faults(), first, last):
+    for path, line, operator, text, mutant in itertools.islice(faults(), start, stop):
         names = tests_of(path, line, data)
-        path.write_text(new, "utf-8")
+        path.write_text(mutant, "utf-8")
         try:
-            by = notices(names) if names else ""
+            detector = notices(names) if names else ""
         finally:
             path.write_text(text, "utf-8")
-        print(f"{path}:{line} {operator}: {by or 'NOT NOTICED'}", flush=True)
+        print(f"{path}:{line} {operator}: {detector or 'NOT NOTICED'}", flush=True)
         for room in (path.parts[1], "all"):
-            rooms.setdefault(room, []).append(bool(by))
+            rooms.setdefault(room, []).append(bool(detector))
     for room, noticed in sorted(rooms.items()):
         print(f"{room:20s} {sum(noticed)} of {len(noticed)}, {sum(noticed) / len(noticed):.0%}")
 

@@ -50,8 +50,8 @@ compiled = numba.njit(fastmath=True, error_model="numpy")
 
 
 @compiled
-def _lugre(p, dx, rate, v, out):
-    """F1 of one vector along the path, into `out`."""
+def _lugre(p, dx, rate, v, forces):
+    """F1 of one vector along the path, into `forces`."""
     sigma0, sigma1, sigma2, v_s = p[0], p[1], p[2], p[13]
     z = 0.0
     for n in range(len(dx)):
@@ -61,14 +61,14 @@ def _lugre(p, dx, rate, v, out):
         level = max(kinetic + (static - kinetic) * math.exp(-ratio * ratio), FLOOR)
         reach = sigma0 / level
         if n == 0:
-            out[0] = (sigma1 + sigma2) * v[0]
+            forces[0] = (sigma1 + sigma2) * v[0]
         decay = math.exp(-reach * abs(dx[n]))
         if dx[n] > 0.0:
             z = decay * z + (1.0 - decay) / reach
         elif dx[n] < 0.0:
             z = decay * z - (1.0 - decay) / reach
         speed = v[n + 1]
-        out[n + 1] = (sigma0 - sigma1 * reach * abs(speed)) * z + (sigma1 + sigma2) * speed
+        forces[n + 1] = (sigma0 - sigma1 * reach * abs(speed)) * z + (sigma1 + sigma2) * speed
 
 
 @compiled
@@ -85,8 +85,8 @@ def _blend(u, side, slip, k2, k3, d2, width, ell):
 
 
 @compiled
-def _cross(p, start, x, turns, direction, out):
-    """F of one vector, in place of F1 in `out`."""
+def _cross(p, start, x, turns, direction, forces):
+    """F of one vector, in place of F1 in `forces`."""
     k2, k3, d2, width, ell = p[7], p[8], p[9], p[9] + p[10], p[12] / p[11]
     side = float(direction)
     heading = side
@@ -94,12 +94,12 @@ def _cross(p, start, x, turns, direction, out):
     carry = 0.0
     k = 0
     for n in range(len(x)):
-        slip = out[n]
+        slip = forces[n]
         u = offset + side * x[n]
         force = _blend(u, side, slip, k2, k3, d2, width, ell)
         if carry != 0.0 and abs(u) < SATURATED * ell:
             force += carry * (1.0 - math.tanh(0.5 * abs(u) / ell))
-        out[n] = force
+        forces[n] = force
         if k < len(turns) and n == turns[k]:
             k += 1
             heading = -heading
@@ -111,11 +111,11 @@ def _cross(p, start, x, turns, direction, out):
 
 @compiled
 def _loop(theta, start, dx, rate, x, v, turns, direction):
-    out = np.empty((theta.shape[0], x.size))
+    forces = np.empty((theta.shape[0], x.size))
     for i in range(theta.shape[0]):
-        _lugre(theta[i], dx, rate, v, out[i])
-        _cross(theta[i], start[i], x, turns, direction, out[i])
-    return out
+        _lugre(theta[i], dx, rate, v, forces[i])
+        _cross(theta[i], start[i], x, turns, direction, forces[i])
+    return forces
 
 
 def numba_loop(theta, motion, start):
@@ -132,10 +132,10 @@ def lsoda(theta, motion, start, velocity):
 
     The gap has no differential equation: it is crossed afterwards, by numba's loop.
     """
-    out = np.array([_integrated(p.tolist(), velocity, motion) for p in theta])
+    forces = np.array([_integrated(p.tolist(), velocity, motion) for p in theta])
     for i, p in enumerate(theta):
-        _cross(p, start[i], motion.x, motion.turns, motion.direction, out[i])
-    return out
+        _cross(p, start[i], motion.x, motion.turns, motion.direction, forces[i])
+    return forces
 
 
 def _integrated(p, velocity, motion):
@@ -203,17 +203,17 @@ def jax_force(p, start, m):
         side, offset, carry = state
         x, f1, heading = now
         u = offset + side * x
-        left = _jax_blend(u, side, f1, gap) + carry * fade(u) - _jax_blend(0.0, heading, f1, gap)
+        jump = _jax_blend(u, side, f1, gap) + carry * fade(u) - _jax_blend(0.0, heading, f1, gap)
         slipped = (u >= width) | (u <= 0.0)
-        fresh = (heading, -heading * x, left)
-        after = tuple(jnp.where(slipped, a, b) for a, b in zip(fresh, state, strict=True))
-        return after, after
+        fresh = (heading, -heading * x, jump)
+        updated = tuple(jnp.where(slipped, a, b) for a, b in zip(fresh, state, strict=True))
+        return updated, updated
 
-    first = (m["direction"], start * width - m["direction"] * m["x"][0], 0.0)
+    initial = (m["direction"], start * width - m["direction"] * m["x"][0], 0.0)
     at_turns = (m["x"][m["turns"]], slip[m["turns"]], m["headings"])
-    states = jax.lax.scan(turn, first, at_turns)[1]
+    states = jax.lax.scan(turn, initial, at_turns)[1]
     side, offset, carry = (
-        jnp.append(a, b)[m["stretch"]] for a, b in zip(first, states, strict=True)
+        jnp.append(a, b)[m["stretch"]] for a, b in zip(initial, states, strict=True)
     )
     u = offset + side * m["x"]
     return _jax_blend(u, side, slip, gap) + carry * fade(u)
@@ -225,7 +225,7 @@ def jax_batch(chunk):
 
     def force(theta, motion, start):
         m, starts = motion.on_device, range(0, len(theta), chunk)
-        parts = [batch(theta[i : i + chunk], start[i : i + chunk], m) for i in starts]
-        return np.concatenate([np.asarray(part) for part in parts])
+        blocks = [batch(theta[i : i + chunk], start[i : i + chunk], m) for i in starts]
+        return np.concatenate([np.asarray(block) for block in blocks])
 
     return force

@@ -81,26 +81,26 @@ def compare(label, theta, trace, rounds, *, solver=False):
     field = {"ours": lambda: MODEL.force(theta, trace, start=0.5)}
     field |= {n: lambda force=f: force(theta, motion, start) for n, f in forces.items()}
     if solver:
-        one = theta[:1], motion, start[:1], sine_velocity
-        field["solve_ivp, 1 vector"] = lambda: peers.lsoda(*one)
+        single = theta[:1], motion, start[:1], sine_velocity
+        field["solve_ivp, 1 vector"] = lambda: peers.lsoda(*single)
     expected = field["ours"]()
-    largest, failed, first = np.abs(expected).max(axis=1), [], {}
+    largest, failed, warmup = np.abs(expected).max(axis=1), [], {}
     for name, run in field.items():
         begin = time.perf_counter()
         force = run()
-        first[name] = time.perf_counter() - begin
+        warmup[name] = time.perf_counter() - begin
         if name != "ours":
-            off = np.abs(force[:, trace.path.samples] - expected[: len(force)]).max(axis=1)
-            if np.max(off / largest[: len(force)]) > (OF_A_SOLVER if "ivp" in name else CLOSE):
-                failed.append(f"{label}: {name} deviates from ours by {np.max(off):.1e} kip")
+            error = np.abs(force[:, trace.path.samples] - expected[: len(force)]).max(axis=1)
+            if np.max(error / largest[: len(force)]) > (OF_A_SOLVER if "ivp" in name else CLOSE):
+                failed.append(f"{label}: {name} deviates from ours by {np.max(error):.1e} kip")
     print(f"{label}: {len(theta)} vectors, {trace.samples:,} samples")
     print(f"{'':22}{'best µs per vector':>20}{'median':>10}{'times ours':>12}{'first, s':>10}")
     seconds = race(field, rounds)
-    each = {n: 1e6 * s / (1 if "1 vector" in n else len(theta)) for n, s in seconds.items()}
-    for name, times in each.items():
-        ratio = np.median(times / each["ours"])
+    per_vector = {n: 1e6 * s / (1 if "1 vector" in n else len(theta)) for n, s in seconds.items()}
+    for name, times in per_vector.items():
+        ratio = np.median(times / per_vector["ours"])
         print(
-            f"{name:22}{times.min():20.1f}{np.median(times):10.1f}{ratio:12.2f}{first[name]:10.2f}"
+            f"{name:22}{times.min():20.1f}{np.median(times):10.1f}{ratio:12.2f}{warmup[name]:10.2f}"
         )
     print(flush=True)
     return failed
@@ -119,10 +119,10 @@ def steps(samples):
             force, state = MODEL.step(state, x, v, 1 / RATE)
             times.append(1e6 * (time.perf_counter() - begin))
             forces.append(force)
-        off = np.max(np.abs(np.array(forces).T - MODEL.force(theta, trace)))
-        print(f"{vectors:9d}{np.median(times):13.0f}{np.quantile(times, 0.99):14.0f}{off:26.0e}")
-        if off > OF_STEPS:
-            failed.append(f"steps of {vectors} vectors are {off:.0e} kip from the whole force")
+        error = np.max(np.abs(np.array(forces).T - MODEL.force(theta, trace)))
+        print(f"{vectors:9d}{np.median(times):13.0f}{np.quantile(times, 0.99):14.0f}{error:26.0e}")
+        if error > OF_STEPS:
+            failed.append(f"steps of {vectors} vectors are {error:.0e} kip from the whole force")
     return failed
 
 

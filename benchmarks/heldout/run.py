@@ -59,20 +59,20 @@ SAMPLES, SECONDS, SAMPLED = 64, 12.0, 1024.0  # of an update and of the record; 
 missed: list[str] = []
 
 
-def bar(what: str, value: float, least: float, most: float) -> None:
+def bar(label: str, value: float, lower: float, upper: float) -> None:
     """Print a value with its limits, and note it if it misses them."""
-    good = least <= value <= most
-    print(f"  {'holds ' if good else 'MISSED'}  {what}: {value:.3f} ({least:g} to {most:g})")
-    if not good:
-        missed.append(what)
+    hit = lower <= value <= upper
+    print(f"  {'holds ' if hit else 'MISSED'}  {label}: {value:.3f} ({lower:g} to {upper:g})")
+    if not hit:
+        missed.append(label)
 
 
-def row(name: str, found: Score, **more: object) -> dict:
+def row(name: str, result: Score, **extra: object) -> dict:
     """Line of a table; coverage in %, width and CRPS in kip."""
-    values = (found.width, found.interval_score, found.crps, found.rrse)
-    numbers = (*(100.0 * share for share in found.coverage), *values)
+    values = (result.width, result.interval_score, result.crps, result.rrse)
+    numbers = (*(100.0 * share for share in result.coverage), *values)
     columns = ("50 %", "90 %", "95 %", "width", "interval", "CRPS", "RRSE")
-    return {"test": name, **dict(zip(columns, numbers, strict=True)), **more}
+    return {"test": name, **dict(zip(columns, numbers, strict=True)), **extra}
 
 
 def table(title: str, rows: list[dict]) -> pd.DataFrame:
@@ -80,22 +80,22 @@ def table(title: str, rows: list[dict]) -> pd.DataFrame:
     frame = pd.DataFrame(rows).set_index("test")
     frame["published"] = frame.index.map(PUBLISHED)
     frame = frame.dropna(axis=1, how="all")
-    shown = pd.concat([frame, frame.mean(numeric_only=True).to_frame("mean").T])
-    print(f"\n{title}\n{shown.to_string(float_format='%.3f', na_rep='')}", flush=True)
+    display = pd.concat([frame, frame.mean(numeric_only=True).to_frame("mean").T])
+    print(f"\n{title}\n{display.to_string(float_format='%.3f', na_rep='')}", flush=True)
     return frame
 
 
-def left_out(run: mb.Run, by: str, jobs: int, chosen=lambda _: True) -> list:
+def left_out(run: mb.Run, criterion: str, jobs: int, select=lambda _: True) -> list:
     """Predictions of the parts of a run that are left out, from populations of little effort."""
-    folds = [f for f in folds_of(run, by, "quick") if any(map(chosen, f.left_out))]
+    folds = [f for f in folds_of(run, criterion, "quick") if any(map(select, f.left_out))]
     return list(run_folds(run, folds, RunOptions(jobs=jobs), lambda _: None))
 
 
 def score_of(source: mb.Run, name: str, trace: mb.Trace) -> Score:
     """Score of the predicted band of a record."""
     band = source.predict(trace, "observation", draws=DRAWS, seed=1)
-    at = scored(name, trace)
-    return score(band.draws[:, at], np.asarray(trace.force)[at])
+    mask = scored(name, trace)
+    return score(band.draws[:, mask], np.asarray(trace.force)[mask])
 
 
 def scored(name: str, trace: mb.Trace) -> np.ndarray:
@@ -113,17 +113,17 @@ def rows_of(predictions: list) -> list[dict]:
 
 def one_level(run: mb.Run, options) -> None:
     """The 36 lb session: each test left out, and the earthquakes."""
-    found = table("36 lb, 2023: each from the others", rows_of(left_out(run, "test", options.jobs)))
+    frame = table("36 lb, 2023: each from the others", rows_of(left_out(run, "test", options.jobs)))
     rows = [row(name, score_of(run, name, trace)) for name, trace in run.held_out.items()]
     quakes = table("36 lb, 2023: earthquakes from the harmonic tests", rows)
     if options.quick:
         return
-    total, shares = found.mean(), found["RRSE"] / found["published"]
+    total, shares = frame.mean(), frame["RRSE"] / frame["published"]
     bar("mean of RRSE over that published", shares.mean(), 0.0, 0.55)
     bar("largest RRSE over that published", shares.max(), 0.0, 0.75)
     bar("coverage of 95 % bands", total["95 %"], 92.0, 97.0)
     bar("coverage of 50 % bands", total["50 %"], 45.0, 58.0)
-    bar("least coverage", found["95 %"].min(), 85.0, 100.0)
+    bar("least coverage", frame["95 %"].min(), 85.0, 100.0)
     bar("mean width of 95 % bands, kip", total["width"], 0.0, 1.40)
     bar("mean CRPS, kip", total["CRPS"], 0.0, 0.182)
     bar("RRSE of Imperial Valley", quakes["RRSE"]["36lb_ImperialValleyDBE"], 0.0, 0.30)
@@ -131,35 +131,35 @@ def one_level(run: mb.Run, options) -> None:
 
 def many_levels(run: mb.Run, jobs: int) -> None:
     """The 2022 session: each tension left out, and each test whose tension another has."""
-    away = left_out(run, "level", jobs)
-    found = table("2022: each tension from the others", rows_of(away))
-    parts = [p.part for p in away]
-    repeated = {p.test for p in away if parts.count(p.part) > 1}
-    near = rows_of(left_out(run, "test", jobs, repeated.__contains__))
-    seen = table("2022: each test whose tension another frequency shows", near).mean()
-    total = found.mean()
+    predictions = left_out(run, "level", jobs)
+    scores = table("2022: each tension from the others", rows_of(predictions))
+    levels = [p.part for p in predictions]
+    repeated = {p.test for p in predictions if levels.count(p.part) > 1}
+    repeats = rows_of(left_out(run, "test", jobs, repeated.__contains__))
+    means = table("2022: each test whose tension another frequency shows", repeats).mean()
+    total = scores.mean()
     bar("coverage of 95 % bands, tension left out", total["95 %"], 92.0, 98.0)
     bar("coverage of 50 % bands, tension left out", total["50 %"], 42.0, 58.0)
-    bar("least coverage", found["95 %"].min(), 80.0, 100.0)
+    bar("least coverage", scores["95 %"].min(), 80.0, 100.0)
     bar("mean width over that of a fitted test", total["width"] / total["fitted"], 0.0, 3.0)
     bar("mean CRPS, kip", total["CRPS"], 0.0, 0.20)
-    bar("width at a tension seen over a fitted test's", seen["width"] / seen["fitted"], 0.0, 2.0)
+    bar("width at a tension seen over a fitted test's", means["width"] / means["fitted"], 0.0, 2.0)
 
 
-def kinds(run: mb.Run, other: mb.Run, seed: int) -> None:
+def kinds(run: mb.Run, second: mb.Run, seed: int) -> None:
     """Whole kinds of motion left out: the least and the mean coverage of each kind's tests."""
     sources = {}
     for kind, belongs in KINDS.items():
-        kept = [name for name in run.tests if not belongs(name)]
-        if kept and len(kept) < len(run.tests):
-            away = {n: test.trace for n, test in run.tests.items() if n not in kept}
-            sources[kind] = common.without(run, kept, "quick", (seed, 4)), away
-    sources["30 lb from 36 lb"] = run, {n: test.trace for n, test in other.tests.items()}
+        names = [name for name in run.tests if not belongs(name)]
+        if names and len(names) < len(run.tests):
+            unseen = {n: test.trace for n, test in run.tests.items() if n not in names}
+            sources[kind] = common.without(run, names, "quick", (seed, 4)), unseen
+    sources["30 lb from 36 lb"] = run, {n: test.trace for n, test in second.tests.items()}
     sources["earthquakes from 36 lb"] = run, run.held_out
     for kind, (source, traces) in sources.items():
         rows = [row(name, score_of(source, name, trace)) for name, trace in traces.items()]
-        found = table(f"36 lb, 2023: {kind}", rows)
-        bar(f"coverage of 95 % bands, {kind}", found["95 %"].mean(), 90.0, 100.0)
+        scores = table(f"36 lb, 2023: {kind}", rows)
+        bar(f"coverage of 95 % bands, {kind}", scores["95 %"].mean(), 90.0, 100.0)
 
 
 def given(runs: list[mb.Run], draws: int) -> None:
@@ -170,13 +170,13 @@ def given(runs: list[mb.Run], draws: int) -> None:
     for model, source in sources.items():
         rows = []
         for name, trace in runs[0].held_out.items():
-            begin, at = QUAKES[name][0], scored(name, trace)
+            begin, mask = QUAKES[name][0], scored(name, trace)
             for window in (None, (float(trace.time[0]), begin)):
                 band = source.predict(trace, "observation", draws=draws, given=window)
-                inside, force = band.draws[:, at], np.asarray(trace.force)[at]
+                draws_scored, force = band.draws[:, mask], np.asarray(trace.force)[mask]
                 words = f"given {begin:g} s by {band.given.method}" if window else "alone"
-                of_mean = rrse(inside.mean(axis=0), force)
-                rows.append(row(name, score(inside, force), of_mean=of_mean, how=words))
+                of_mean = rrse(draws_scored.mean(axis=0), force)
+                rows.append(row(name, score(draws_scored, force), of_mean=of_mean, how=words))
         table(f"Model {model}", rows)
 
 
@@ -188,28 +188,28 @@ def follow(run: mb.Run, trace: mb.Trace, draws: int) -> None:
     forecaster = run.follow(0.036, amplitude=0.18, velocity=1.5, draws=draws, refresh=False)
     updates, bands = [], []
     for number in range(int(SECONDS * SAMPLED) // SAMPLES):
-        new, ahead = (slice(k * SAMPLES, (k + 1) * SAMPLES) for k in (number, number + 1))
-        columns = trace.time[new], trace.displacement[new], None, np.asarray(trace.force)[new]
+        block, ahead = (slice(k * SAMPLES, (k + 1) * SAMPLES) for k in (number, number + 1))
+        columns = trace.time[block], trace.displacement[block], None, np.asarray(trace.force)[block]
         updates.append(timed(forecaster.update, *columns))
         motion = mb.Trace.from_arrays(trace.time[ahead], trace.displacement[ahead])
         if number % 16 == 15:
             bands.append(timed(forecaster.band, motion))
-    shown = np.median(updates), max(updates), np.median(bands), max(bands)
-    print(f"{draws:6}" + "".join(f"{each:14.2f}" for each in (*shown, timed(forecaster.refresh))))
+    times = np.median(updates), max(updates), np.median(bands), max(bands)
+    print(f"{draws:6}" + "".join(f"{ms:14.2f}" for ms in (*times, timed(forecaster.refresh))))
     arrive = 1e3 * SAMPLES / SAMPLED
     if max(updates) > arrive:
         missed.append(f"{draws} draws: an update takes more than {arrive} ms")
 
 
-def timed(call: Callable, *arguments: object) -> float:
+def timed(function: Callable, *arguments: object) -> float:
     """Processor milliseconds of a call."""
     began = time.process_time()
-    call(*arguments)
+    function(*arguments)
     return 1e3 * (time.process_time() - began)
 
 
 def main() -> None:
-    parser = common.parser_of(__doc__ or "", data=True, jobs=2, out="out_heldout")
+    parser = common.parser_of(__doc__ or "", data=True, jobs=2, output="out_heldout")
     parser.add_argument("--model", default="three_stage", help="as in a campaign file")
     parser.add_argument("--kinds", action="store_true", help="kinds of motion left out, alone")
     parser.add_argument("--given", nargs="+", metavar="MODEL", help="earthquakes given, alone")

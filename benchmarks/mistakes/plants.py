@@ -40,18 +40,18 @@ class Planned:
 Change = Callable[[Planned], Planned]
 
 
-def scaled(column: str, by: float, **names: str) -> Change:
+def scaled(column: str, factor: float, **names: str) -> Change:
     """A column whose numbers are in another unit than its name says."""
 
     def change(test: Planned) -> Planned:
-        other = test.changed(**{column: by * test.table[column]})
-        return replace(other, names={**test.names, **names})
+        altered = test.changed(**{column: factor * test.table[column]})
+        return replace(altered, names={**test.names, **names})
 
     return change
 
 
-def tension(by: float, unit: str = "lbf") -> Change:
-    return lambda test: replace(test, level=by * test.level, unit=unit)
+def tension(factor: float, unit: str = "lbf") -> Change:
+    return lambda test: replace(test, level=factor * test.level, unit=unit)
 
 
 def both_signs(test: Planned) -> Planned:
@@ -114,17 +114,17 @@ def dropped(test: Planned) -> Planned:
     return replace(test, table=test.table.drop(index=lost).reset_index(drop=True))
 
 
-def middle(test: Planned, parts: int) -> tuple[int, int]:
+def middle(test: Planned, divisor: int) -> tuple[int, int]:
     """A sample in the middle of a stroke, about the middle of the test; another, later one.
 
     The other one comes after one of so many parts of a cycle at full stroke.
     """
     x = test.column("displacement")
     crossings = np.flatnonzero((x[1:] > np.median(x)) & (x[:-1] <= np.median(x)))
-    first = int(crossings[np.argmin(np.abs(crossings - x.size // 2))])
+    start = int(crossings[np.argmin(np.abs(crossings - x.size // 2))])
     turns = Trace.from_arrays(test.table["time"], x).cycle_turns
     cycle = int(np.max(np.diff(turns[::2]))) if turns.size > 2 else 64
-    return first, first + cycle // parts
+    return start, start + cycle // divisor
 
 
 def renumbered(test: Planned) -> Planned:
@@ -137,8 +137,8 @@ def held(column: str) -> Change:
     """A third of a cycle in which a channel is frozen."""
 
     def change(test: Planned) -> Planned:
-        values, (first, last) = test.column(column), middle(test, 3)
-        values[first:last] = values[first]
+        values, (start, stop) = test.column(column), middle(test, 3)
+        values[start:stop] = values[start]
         return test.changed(**{column: values})
 
     return change
@@ -153,8 +153,8 @@ def zero_stepped(test: Planned) -> Planned:
 def repeated(test: Planned) -> Planned:
     """A second of the record is written twice, and the time goes on."""
     time = test.column("time")
-    first, last = np.searchsorted(time, time[0] + np.array([0.4, 0.4]) * np.ptp(time) + [0.0, 1.0])
-    table = pd.concat([test.table.iloc[:last], test.table.iloc[first:]], ignore_index=True)
+    start, stop = np.searchsorted(time, time[0] + np.array([0.4, 0.4]) * np.ptp(time) + [0.0, 1.0])
+    table = pd.concat([test.table.iloc[:stop], test.table.iloc[start:]], ignore_index=True)
     step = float(np.median(np.diff(time)))
     return replace(test, table=table.assign(time=time[0] + step * np.arange(len(table))))
 
@@ -236,8 +236,8 @@ def plant(name: str, tests: list[Planned], k: int) -> tuple[list[Planned], list[
         tests, k = tests[k % 2 :: 2], k // 2
     wrong = MISTAKES[name][1](tests[k])
     if name.startswith("exchanged"):  # with the test whose tension is farthest
-        other = max(tests, key=lambda test: abs(np.log(test.level / wrong.level)))
-        levels = {wrong.id: other.level, other.id: wrong.level}
+        rival = max(tests, key=lambda test: abs(np.log(test.level / wrong.level)))
+        levels = {wrong.id: rival.level, rival.id: wrong.level}
         return [replace(t, level=levels.get(t.id, t.level)) for t in tests], [*levels]
     if name.startswith("duplicate"):
         return [*tests, replace(wrong, id=f"{wrong.id}_again")], [f"{wrong.id}_again"]

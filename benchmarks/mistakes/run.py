@@ -47,7 +47,7 @@ displacement = {{ name = "{displacement}" }}, force = {{ name = "{force}" }} }}
 
 def load_session(source: Path, session: str) -> list[Planned]:
     """Harmonic tests of a session; ids say the tension and nothing of the motion."""
-    found: list[Planned] = []
+    tests: list[Planned] = []
     for row in common.listed(source):
         pounds = row["tension_lbf"]
         if row["session"] != session or row["kind"] != "harmonic" or pounds == "0":
@@ -56,10 +56,10 @@ def load_session(source: Path, session: str) -> list[Planned]:
             continue
         table = pd.read_csv(source / "brfd" / row["file"])
         table = table.rename(columns={"time_s": "time"} | {v: k for k, v in NAMES.items()})
-        letter = chr(ord("a") + sum(t.id.startswith(f"{pounds}lb") for t in found))
+        letter = chr(ord("a") + sum(t.id.startswith(f"{pounds}lb") for t in tests))
         columns = table[["time", "displacement", "force"]]
-        found.append(Planned(f"{pounds}lb_{letter}", columns, float(pounds), NAMES))
-    return found
+        tests.append(Planned(f"{pounds}lb_{letter}", columns, float(pounds), NAMES))
+    return tests
 
 
 def write_session(tests: list[Planned], folder: Path, title: str) -> Path:
@@ -90,12 +90,12 @@ def said_by(campaign: Path) -> Said:
     return [(warning.subject, str(warning.message)) for warning in plan.manifest.warnings]
 
 
-def named(said: Said, test: str, cause: str) -> bool:
+def named(remarks: Said, test: str, cause: str) -> bool:
     """Whether a sentence about the test, or that has its id, tells the cause."""
     word = rf"\b{re.escape(test)}\b"
     return any(
         (subject == test or re.search(word, sentence)) and re.search(cause, sentence)
-        for subject, sentence in said
+        for subject, sentence in remarks
     )
 
 
@@ -107,22 +107,22 @@ def try_out(case: tuple[Path, str, str, tuple[str, int]]) -> tuple[bool, Said]:
         renamed = neutral(tests)
         tests, wrong = [*renamed.values()], [renamed[test].id for test in wrong]
     with tempfile.TemporaryDirectory() as folder:
-        said = said_by(write_session(tests, Path(folder), mistake))
-    return all(named(said, test, MISTAKES[mistake][0]) for test in wrong), said
+        remarks = said_by(write_session(tests, Path(folder), mistake))
+    return all(named(remarks, test, MISTAKES[mistake][0]) for test in wrong), remarks
 
 
 def false_alarms(source: Path) -> Said:
     """Every warning about the real records as they are: every session, and halves of two."""
-    said: Said = []
+    remarks: Said = []
     for session in sorted({row["session"] for row in common.listed(source)}):
-        with tempfile.TemporaryDirectory() as home:
-            said += said_by(common.lay_out(source, Path(home) / session, session))
+        with tempfile.TemporaryDirectory() as folder:
+            remarks += said_by(common.lay_out(source, Path(folder) / session, session))
     for session in ("2022-07", "2023-04"):
         tests = [*neutral(load_session(source, session)).values()]
-        for part in (tests, tests[::2], tests[1::2]):
-            with tempfile.TemporaryDirectory() as home:
-                said += said_by(write_session(part, Path(home), session))
-    return [warning for warning in said if warning[0] != "laws"]
+        for subset in (tests, tests[::2], tests[1::2]):
+            with tempfile.TemporaryDirectory() as folder:
+                remarks += said_by(write_session(subset, Path(folder), session))
+    return [warning for warning in remarks if warning[0] != "laws"]
 
 
 def main() -> None:
@@ -130,32 +130,32 @@ def main() -> None:
     parser.add_argument("--say", action="store_true", help="print what the dry run says, too")
     parser.add_argument("--only", default="", help="only mistakes whose name has these words")
     options = common.begin(parser)
-    chosen = [mistake for mistake in MISTAKES if options.only in mistake]
-    chosen, whole = chosen[: 3 if options.quick else None], Counter[str]()
-    cases = [(options.data, *c) for c in product(chosen, NAMED, PLACES)]
+    planted = [mistake for mistake in MISTAKES if options.only in mistake]
+    planted, complete = planted[: 3 if options.quick else None], Counter[str]()
+    cases = [(options.data, *c) for c in product(planted, NAMED, PLACES)]
     print(f"{'mistake':32s}" + "".join(f"{names:>10s}" for names in NAMED))
     with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
         results = zip(cases, pool.imap(try_out, cases), strict=True)
-        alarms = pool.apply_async(false_alarms, (options.data,)) if chosen == [*MISTAKES] else None
+        alarms = pool.apply_async(false_alarms, (options.data,)) if planted == [*MISTAKES] else None
         for mistake, of_mistake in groupby(results, key=lambda result: result[0][1]):
             counts: Counter[str] = Counter()
-            for (_, _, names, place), (good, said) in of_mistake:
-                counts[names] += good
-                for subject, sentence in said if options.say else ():
-                    print(f"    {mistake}, {names}, {place}: {subject}: {sentence}")
+            for (_, _, names, position), (hit, remarks) in of_mistake:
+                counts[names] += hit
+                for subject, sentence in remarks if options.say else ():
+                    print(f"    {mistake}, {names}, {position}: {subject}: {sentence}")
             cells = "".join(f"{counts[names]:>8d}/{len(PLACES)}" for names in NAMED)
             print(f"{mistake:32s}{cells}", flush=True)
-            whole.update(names for names in NAMED if counts[names] == len(PLACES))
-        said = [] if alarms is None else alarms.get()
-    print(f"{'named in every place':32s}" + "".join(f"{whole[names]:>10d}" for names in NAMED))
-    print("".join(f"false alarm: {subject}: {sentence}\n" for subject, sentence in said), end="")
-    failed = [f"{len(said)} false alarms"] if said else []
+            complete.update(names for names in NAMED if counts[names] == len(PLACES))
+        remarks = [] if alarms is None else alarms.get()
+    print(f"{'named in every place':32s}" + "".join(f"{complete[names]:>10d}" for names in NAMED))
+    print("".join(f"false alarm: {subject}: {sentence}\n" for subject, sentence in remarks), end="")
+    failed = [f"{len(remarks)} false alarms"] if remarks else []
     failed += [
-        f"{whole[names]} of {len(chosen)} are named under {names} names, not {least}"
-        for names, least in NAMED.items()
-        if whole[names] < least and alarms is not None
+        f"{complete[names]} of {len(planted)} are named under {names} names, not {minimum}"
+        for names, minimum in NAMED.items()
+        if complete[names] < minimum and alarms is not None
     ]
-    print(f"{len(said)} false alarms on {len(common.listed(options.data))} real records")
+    print(f"{len(remarks)} false alarms on {len(common.listed(options.data))} real records")
     common.finish(failed)
 
 

@@ -60,9 +60,9 @@ class Truth:
     @classmethod
     def draw(cls, rng):
         """Exponents about 1 with the laws' own sd of a half, between 0.4 and 1.6."""
-        both = np.clip(1.0 + 0.5 * rng.standard_normal(2), 0.4, 1.6)
+        exponents = np.clip(1.0 + 0.5 * rng.standard_normal(2), 0.4, 1.6)
         scatter = np.clip(abs(0.1 * rng.standard_normal()), 0.005, 0.2)
-        return cls(tuple(both.tolist()), float(scatter))
+        return cls(tuple(exponents.tolist()), float(scatter))
 
     def record(self, candidate, rng):
         """A record of a test."""
@@ -72,14 +72,14 @@ class Truth:
             values[name] = np.array([median * np.exp(sd * rng.standard_normal())])
         start = rng.uniform(0.1, 0.9, 1)
         motion = Harmonic(candidate.amplitude, candidate.frequency, candidate.cycles)
-        whole = motion.trace(candidate.actuation)
-        time = np.arange(0.0, whole.time[-1], 1.0 / RATE)
-        place = np.interp(time, whole.time, whole.displacement)
-        trace, model = Trace.from_arrays(time, place, candidate.actuation), ThreeStage()
+        ideal = motion.trace(candidate.actuation)
+        time = np.arange(0.0, ideal.time[-1], 1.0 / RATE)
+        displacement = np.interp(time, ideal.time, ideal.displacement)
+        trace, model = Trace.from_arrays(time, displacement, candidate.actuation), ThreeStage()
         force = model.force(model.theta(values | {"gamma1": np.ones(1)}), trace, start)[0]
         force = force + 0.02 * rng.standard_normal()
         force = force + find_noise("ou").draw(rng, time, values)[0]
-        return Trace.from_arrays(time, place, candidate.actuation, force)
+        return Trace.from_arrays(time, displacement, candidate.actuation, force)
 
 
 def calibrated(traces, seed):
@@ -94,8 +94,8 @@ def calibrated(traces, seed):
         values = {name: np.array([value]) for name, value in begin.items()}
         posterior = Posterior(trace, priors, "ou", "three_stage")
         stored = SimpleNamespace(values=lambda values=values: values)
-        parts = {"posterior": posterior, "trace": trace, "intervals": {}, "stored": stored}
-        tests[f"t{k}"] = SimpleNamespace(**parts)
+        fields = {"posterior": posterior, "trace": trace, "intervals": {}, "stored": stored}
+        tests[f"t{k}"] = SimpleNamespace(**fields)
     settings = InferenceSettings(LAWS, "ksi", "quick", (seed, 0))
     population = infer_population(tests, priors, settings).population
     return Predictor(population, posterior.model, posterior.noise)
@@ -103,8 +103,8 @@ def calibrated(traces, seed):
 
 def width_of(predictor, traces):
     """Mean width of the goal's bands as a campaign knows it."""
-    made = [harmonic_of(trace) for trace in traces]
-    return Study(predictor, made, GOAL, draws=4000, seed=1).goals.width
+    harmonics = [harmonic_of(trace) for trace in traces]
+    return Study(predictor, harmonics, GOAL, draws=4000, seed=1).goals.width
 
 
 def campaign(seed):
@@ -113,34 +113,34 @@ def campaign(seed):
     truth = Truth.draw(rng)
     base = [truth.record(candidate, rng) for candidate in BASE]
     predictor = calibrated(base, seed)
-    made = [harmonic_of(trace) for trace in base]
-    advice = advise(predictor, made, GOAL, CHOICE, Limits(), seed=seed)
-    before, result = width_of(predictor, base), {"seed": seed}
+    harmonics = [harmonic_of(trace) for trace in base]
+    advice = advise(predictor, harmonics, GOAL, CHOICE, Limits(), seed=seed)
+    base_width, result = width_of(predictor, base), {"seed": seed}
     rows = advice[0], advice[len(advice) // 2], advice[len(advice) - 1]
-    for which, row in zip(WHICH, rows, strict=True):
+    for choice, row in zip(WHICH, rows, strict=True):
         again = [*base, truth.record(row.candidate, rng)]
-        result[which] = {
+        result[choice] = {
             "actuation": row.candidate.actuation,
             "amplitude": row.candidate.amplitude,
             "predicted": row.reduction,
-            "realised": 1.0 - width_of(calibrated(again, 1000 + seed), again) / before,
+            "realised": 1.0 - width_of(calibrated(again, 1000 + seed), again) / base_width,
         }
     return result
 
 
 def show(results):
     """Print all campaigns, the slope of realised on predicted, and what the advice won."""
-    print(f"{'':8s}" + "".join(f"{which:>28s}" for which in WHICH))
+    print(f"{'':8s}" + "".join(f"{choice:>28s}" for choice in WHICH))
     print("campaign" + f"{'psi    in predict. realised':>28s}" * 3)
     for result in results:
         cells = "".join(
             f"  {1000 * f['actuation']:6.0f} {f['amplitude']:4.2f}  {f['predicted']:5.3f}"
             f"   {f['realised']:6.3f}"
-            for f in (result[which] for which in WHICH)
+            for f in (result[choice] for choice in WHICH)
         )
         print(f"{result['seed']:8d}{cells}")
     x, y = (
-        np.array([[r[which][name] for which in WHICH] for r in results])
+        np.array([[r[choice][name] for choice in WHICH] for r in results])
         for name in ("predicted", "realised")
     )
     pairs = zip(x.mean(axis=0), y.mean(axis=0), strict=True)
@@ -160,7 +160,7 @@ def slope(x, y):
 
 
 def main():
-    parser = common.parser_of(__doc__, jobs=1, out="out_next")
+    parser = common.parser_of(__doc__, jobs=1, output="out_next")
     parser.add_argument("--campaigns", type=int, default=40)
     options = common.begin(parser)
     seeds = range(1, 1 + (1 if options.quick else options.campaigns))

@@ -54,10 +54,10 @@ def fits_of(campaign: Path, noises: Sequence[str], effort: str) -> dict[str, dic
                 replace(task, file=file.name).run(folder, lambda _: None)
                 clock.write_text(f"{time.process_time() - began:.2f}")
             test = load_result(task.id, file, plan.priors)
-            others = test.stored.facts["other_noises"]
-            own = quantiles_of(test.posterior, test.stored.values())
-            seconds = float(clock.read_text()) - sum(o["seconds"] for o in others)
-            fits.setdefault(task.id, {})[noise] = Fit(own, others, seconds)
+            second_fits = test.stored.facts["other_noises"]
+            quantiles = quantiles_of(test.posterior, test.stored.values())
+            seconds = float(clock.read_text()) - sum(o["seconds"] for o in second_fits)
+            fits.setdefault(task.id, {})[noise] = Fit(quantiles, second_fits, seconds)
     return fits
 
 
@@ -70,17 +70,17 @@ def table_of_intervals(fits: dict[str, dict[str, Fit]]) -> int:
     print(f"{'test':5} {'quantity':8} {'noise':9} {'median [95 %]':24} under other noises")
     for test, name in itertools.product(fits, QUANTITIES):
         for noise, fit in fits[test].items():
-            own, words = fit.own[name], []
-            seen = {o["noise"]: o["quantities"][name] for o in fit.others if o["quantities"]}
-            told = [other for other, bounds in seen.items() if moves(own, bounds)]
-            seen |= {o: other.own[name] for o, other in fits[test].items() if o != noise}
-            for other, bounds in seen.items():
-                word = "noted" if other in told else "as it"
-                if own[0] > bounds[2] or bounds[0] > own[2]:
-                    word = f"apart, {word if told else 'SILENT'}"
-                    silent += not told
-                words.append(f"{other} {shown(bounds)} {word}")
-            print(f"{test:5} {name:8} {noise:9} {shown(own):24} {'; '.join(words)}")
+            interval, words = fit.own[name], []
+            intervals = {o["noise"]: o["quantities"][name] for o in fit.others if o["quantities"]}
+            noted = [rival for rival, bounds in intervals.items() if moves(interval, bounds)]
+            intervals |= {o: rival.own[name] for o, rival in fits[test].items() if o != noise}
+            for rival, bounds in intervals.items():
+                word = "noted" if rival in noted else "as it"
+                if interval[0] > bounds[2] or bounds[0] > interval[2]:
+                    word = f"apart, {word if noted else 'SILENT'}"
+                    silent += not noted
+                words.append(f"{rival} {shown(bounds)} {word}")
+            print(f"{test:5} {name:8} {noise:9} {shown(interval):24} {'; '.join(words)}")
     return silent
 
 
@@ -90,17 +90,17 @@ def shown(bounds: Bounds) -> str:
 
 
 def main() -> None:
-    options = common.begin(common.parser_of(__doc__ or "", data=True, out="out_noises"))
+    options = common.begin(common.parser_of(__doc__ or "", data=True, output="out_noises"))
     tests, noises, effort = TESTS, EVERY, "standard"
     if options.quick:
         tests, noises, effort = TESTS[:1], EVERY[:2], "quick"
-    campaign = common.lay_out(options.data, options.out / effort, "2022-07", only=tests)
+    campaign = common.lay_out(options.data, options.out / effort, "2022-07", selection=tests)
     text = campaign.read_text(encoding="utf-8")
     campaign.write_text(text.replace("[columns]", "noise_check = true\n[columns]"), "utf-8")
     fits = fits_of(campaign, noises, effort)
     silent = table_of_intervals(fits)
     under_ou = [fit["ou"] for fit in fits.values()]
-    check = sum(other["seconds"] for fit in under_ou for other in fit.others)
+    check = sum(second_fit["seconds"] for fit in under_ou for second_fit in fit.others)
     share = check / sum(fit.seconds for fit in under_ou)
     print(f"intervals apart without a note: {silent} (none allowed)")
     print(f"cost of the check under ou: {share:.2f} of the sampling (at most {SHARE:.2f})")

@@ -34,21 +34,21 @@ def drawn(count, seed):
     return np.array(forces)
 
 
-def demo(seed, true, further):
+def demo(seed, true, extra):
     """Rows on the true values and the verdict; what is inside of three pairs of bands."""
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "out"
-        common.command("demo", out, "--quick", "--seed", seed)
-        run = mb.open_run(out)
+        run_folder = Path(folder) / "out"
+        common.command("demo", run_folder, "--quick", "--seed", seed)
+        run = mb.open_run(run_folder)
         (trace,) = run.held_out.values()
         draws = run.predict(trace, "observation", draws=800, seed=seed).draws
-        pairs = (draws, trace.force), (true, trace.force), (draws, further)
-        found = assess(run)
-        return found.truth, found.verdict, [common.inside(*pair) for pair in pairs]
+        pairs = (draws, trace.force), (true, trace.force), (draws, extra)
+        assessment = assess(run)
+        return assessment.truth, assessment.verdict, [common.inside(*pair) for pair in pairs]
 
 
-def line(seed, hits, known, shares):
-    words = f"{seed:>6}{hits:9d}{known:8d}{hits / known:9.1%}"
+def line(seed, hits, total, shares):
+    words = f"{seed:>6}{hits:9d}{total:8d}{hits / total:9.1%}"
     return "  ".join([words, *("".join(f"{share:8.1%}" for share in pair) for pair in shares)])
 
 
@@ -57,23 +57,23 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     options = common.begin(parser)
     hits: Counter[str] = Counter()
-    known: Counter[str] = Counter()
-    true, further, every = drawn(TRUE, 1001), drawn(FURTHER, 1002), []
+    totals: Counter[str] = Counter()
+    true, extra, all_shares = drawn(TRUE, 1001), drawn(FURTHER, 1002), []
     titles = ("its test left out", "truth's band", f"{FURTHER} more")
     print(f"{'':32s}" + "".join(f"{title:>18s}" for title in titles))
     print(f"{'seed':>6}{'inside':>9}{'known':>8}{'share':>9}" + "      50 %    95 %" * 3)
     for seed in range(1, 1 + (1 if options.quick else options.seeds)):
-        rows, verdict, shares = demo(seed, true, further)
+        rows, verdict, shares = demo(seed, true, extra)
         rows = [row for row in rows if row["informed"]]
-        right = [row["name"] for row in rows if row["inside"]]
-        known.update(row["name"] for row in rows)
-        hits.update(right)
-        every.append(shares)
-        print(line(seed, len(right), len(rows), shares), verdict, flush=True)
-    print(line("all", hits.total(), known.total(), np.mean(every, axis=0)))
+        covered = [row["name"] for row in rows if row["inside"]]
+        totals.update(row["name"] for row in rows)
+        hits.update(covered)
+        all_shares.append(shares)
+        print(line(seed, len(covered), len(rows), shares), verdict, flush=True)
+    print(line("all", hits.total(), totals.total(), np.mean(all_shares, axis=0)))
     print("\nby quantity")
-    for name in sorted(known):
-        print(f"{name:22s}{hits[name]:5d} of {known[name]}")
+    for name in sorted(totals):
+        print(f"{name:22s}{hits[name]:5d} of {totals[name]}")
 
 
 if __name__ == "__main__":

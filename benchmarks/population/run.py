@@ -39,13 +39,13 @@ def run_campaign(seed, index, noise_time):
         draws, inference = study.infer(campaign)
     except MfdError as error:
         return {"error": str(error), "ranks": {}}
-    found = inference.population.convergence
+    convergence = inference.population.convergence
     single = all(d.convergence.reached(study.SINGLE.r_hat, study.SINGLE.ess) for d in draws)
     return {
         "error": "",
         "ranks": study.ranks_of(campaign, inference),
-        "ess": found.worst_ess,
-        "short": not (single and found.reached(study.JOINT.r_hat, study.JOINT.ess)),
+        "ess": convergence.worst_ess,
+        "short": not (single and convergence.reached(study.JOINT.r_hat, study.JOINT.ess)),
         "seconds": time.perf_counter() - began,
     }
 
@@ -74,14 +74,14 @@ def judge(campaigns, draws):
 
 
 def main():
-    parser = common.parser_of(__doc__, jobs=1, out="out_population")
+    parser = common.parser_of(__doc__, jobs=1, output="out_population")
     parser.add_argument("--campaigns", type=int, default=100)
     parser.add_argument("--white", action="store_true", help="independent noise")
     options = common.begin(parser)
     noise_time = WHITE if options.white else CORRELATED
     count = 1 if options.quick else options.campaigns
-    every = [(options.seed, index, noise_time) for index in range(count)]
-    failed = judge(common.run_series(run_campaign, every, options), study.DRAWS)
+    tasks = [(options.seed, index, noise_time) for index in range(count)]
+    failed = judge(common.run_series(run_campaign, tasks, options), study.DRAWS)
     common.finish([] if options.quick else failed)
 
 

@@ -65,17 +65,17 @@ def synthesize(seed: int, index: int, noise_time: float) -> Campaign:
     rng = np.random.default_rng([seed, index, 0])
     blanks = [_blank(priors, level) for level in LEVELS]
     settings = [setting_of(blank.trace) for blank in blanks]
-    known = [name for name in blanks[0].names if name != "noise_time"]  # the joint fit learns it
-    design = design_of(priors, known, settings, LAWS)
+    learned = [name for name in blanks[0].names if name != "noise_time"]  # the joint fit learns it
+    design = design_of(priors, learned, settings, LAWS)
     names, d = list(design.names), len(design.names)
     centre = design.coordinates.centre[:d]
     level = centre + design.spread * rng.standard_normal(d)
     scatter = ~design.common * design.scatter_sd * np.abs(rng.standard_normal(d))
     truth = {f"scatter {names[k]}": scatter[k] for k in design.free}
-    at = np.array([*LEVELS, UNSEEN])
-    means = np.tile(level, (at.size, 1))
-    means += _laws(rng, at / design.reference, names, truth)
-    means += _deviations(rng, at, design, truth)
+    actuations = np.array([*LEVELS, UNSEEN])
+    means = np.tile(level, (actuations.size, 1))
+    means += _laws(rng, actuations / design.reference, names, truth)
+    means += _deviations(rng, actuations, design, truth)
     q = means + scatter * rng.standard_normal(means.shape)
     values = _values(design, q)
     median = {n: float(v[0]) for n, v in _values(design, level[None]).items()}
@@ -89,9 +89,9 @@ def synthesize(seed: int, index: int, noise_time: float) -> Campaign:
     for j, blank in enumerate(blanks):
         force = _measured(blank, {name: v[j : j + 1] for name, v in values.items()}, rng)
         tests.append(Posterior(replace(blank.trace, force=force[0]), priors))
-    new = _blank(priors, UNSEEN)
-    force = _measured(new, {name: v[-1:] for name, v in values.items()}, rng)
-    truth |= {name: value[0] for name, value in _seen_in(new, force).items()}
+    unseen = _blank(priors, UNSEEN)
+    force = _measured(unseen, {name: v[-1:] for name, v in values.items()}, rng)
+    truth |= {name: value[0] for name, value in _seen_in(unseen, force).items()}
     true = {name: float(value) for name, value in truth.items()}
     return Campaign(priors, (seed, index), tuple(tests), design, true)
 
@@ -101,15 +101,15 @@ def _values(design: Design, q: Array) -> dict[str, Array]:
     d = len(design.names)
     x = np.zeros((len(q), len(design.coordinates.names)))
     x[:, :d] = (q - design.coordinates.centre[:d]) / design.spread
-    found = design.coordinates.values(x)
-    return {name: found[name] for name in design.names}
+    values = design.coordinates.values(x)
+    return {name: values[name] for name in design.names}
 
 
 def _measured(blank: Posterior, shared: Mapping[str, Array], rng: np.random.Generator) -> Array:
     """Force of a test with its offset and noise, (1, T); what is not shared is from its prior."""
-    own = blank.sample_prior(1, rng) | shared
-    force = blank.force(own) + own["offset"][:, None]
-    return np.asarray(force + blank.noise.draw(rng, blank.trace.time, own))
+    values = blank.sample_prior(1, rng) | shared
+    force = blank.force(values) + values["offset"][:, None]
+    return np.asarray(force + blank.noise.draw(rng, blank.trace.time, values))
 
 
 def _seen_in(test: Posterior, force: Array) -> dict[str, Array]:
@@ -153,23 +153,23 @@ def _laws(rng, relative, names, truth):
     return logs
 
 
-def _deviations(rng, at, design, truth):
+def _deviations(rng, actuations, design, truth):
     """Smooth deviations from the laws, one Gaussian process for each follower, (J, d).
 
     Matérn 3/2 over the logarithm of the actuation, of a size in inverse proportion to it, from half
     to twice.
     """
-    r = np.sqrt(3.0) * np.abs(np.log(at[:, None] / at)) / np.log(2.0)
-    sizes = np.clip(np.exp(np.mean(np.log(LEVELS))) / at, 0.5, 2.0)
+    r = np.sqrt(3.0) * np.abs(np.log(actuations[:, None] / actuations)) / np.log(2.0)
+    sizes = np.clip(np.exp(np.mean(np.log(LEVELS))) / actuations, 0.5, 2.0)
     covariance = sizes[:, None] * sizes * (1.0 + r) * np.exp(-r)
-    root = np.linalg.cholesky(covariance + 1e-9 * np.eye(at.size))
+    root = np.linalg.cholesky(covariance + 1e-9 * np.eye(actuations.size))
     names = list(design.names)
-    deviations = np.zeros((at.size, len(names)))
+    deviations = np.zeros((actuations.size, len(names)))
     for group, members in FOLLOWERS.items():
         scale = WIDER * design.scatter_sd[names.index(members[0])]
         sd = truth[f"deviation {group}"] = scale * abs(rng.standard_normal())
         for name in members:
-            deviations[:, names.index(name)] = sd * root @ rng.standard_normal(at.size)
+            deviations[:, names.index(name)] = sd * root @ rng.standard_normal(actuations.size)
     return deviations
 
 
@@ -188,18 +188,18 @@ def drawn_values(inference: Inference) -> dict[str, Array]:
     """Draws by the names of the truths, (chain, draw) each."""
     population = inference.population
     design = population.design
-    drawn = {name: population.slopes[name] for name in ("K_c_fwd", "K_c_bwd", "alpha_sigma0")}
-    drawn["share sigma0"] = population.shapes("sigma0")[0]
-    drawn["exponent noise_sd"] = population.shapes("noise_sd")[1]
+    draws = {name: population.slopes[name] for name in ("K_c_fwd", "K_c_bwd", "alpha_sigma0")}
+    draws["share sigma0"] = population.shapes("sigma0")[0]
+    draws["exponent noise_sd"] = population.shapes("noise_sd")[1]
     for name in LEVELS_RANKED:
         k = design.names.index(name)
         z = population.draws.z[..., k]
-        drawn[f"level {name}"] = design.coordinates.centre[k] + design.spread[k] * z
+        draws[f"level {name}"] = design.coordinates.centre[k] + design.spread[k] * z
     for group, members in FOLLOWERS.items():
         label = f"level_{design.groups[members[0]]}"
-        drawn[f"deviation {group}"] = population.effect_sds[label]
+        draws[f"deviation {group}"] = population.effect_sds[label]
     tested = inference.values(0)
-    return drawn | {f"first test's {name}": tested[name] for name in TEST_RANKED}
+    return draws | {f"first test's {name}": tested[name] for name in TEST_RANKED}
 
 
 def ranks_of(campaign, inference):
@@ -208,25 +208,25 @@ def ranks_of(campaign, inference):
     The ways differ in the scatter, and in what a new test shows with it.
     """
     population, test, ranks = inference.population, campaign.tests[0], {}
-    design, draws, new = population.design, population.draws, _blank(campaign.priors, UNSEEN)
+    design, draws, unseen = population.design, population.draws, _blank(campaign.priors, UNSEEN)
 
-    def rank(drawn):
+    def rank(quantities):
         """Ranks of values by name."""
-        below = {}
-        for name, values in drawn.items():
+        counts = {}
+        for name, values in quantities.items():
             flat = values.reshape(-1)
             pick = np.linspace(0, flat.size - 1, DRAWS).astype(np.intp)
-            below[name] = int(np.sum(flat[pick] < campaign.truth[name]))
-        return below
+            counts[name] = int(np.sum(flat[pick] < campaign.truth[name]))
+        return counts
 
     for way, factor in FACTORS.items():
         scatters = {f"scatter {name}": factor * v for name, v in population.scatters.items()}
         h = draws.h.copy()
         h[..., : design.free.size] += np.log(factor)
-        changed = replace(population, draws=replace(draws, h=h))
+        variant = replace(population, draws=replace(draws, h=h))
         forecast = PredictionOptions("observation", draws=DRAWS, seed=campaign.seed[1])
-        band = Predictor(changed, test.model, test.noise).predict(new.trace, forecast)
-        seen = {f"new test's {name}": band.values[name] for name in ("Fc_fwd", "sigma0")}
-        seen |= _seen_in(new, np.asarray(band.draws))
-        ranks[way] = rank(scatters | drawn_values(inference) | seen)
+        band = Predictor(variant, test.model, test.noise).predict(unseen.trace, forecast)
+        predicted = {f"new test's {name}": band.values[name] for name in ("Fc_fwd", "sigma0")}
+        predicted |= _seen_in(unseen, np.asarray(band.draws))
+        ranks[way] = rank(scatters | drawn_values(inference) | predicted)
     return ranks

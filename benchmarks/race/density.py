@@ -22,10 +22,10 @@ def jax_density(posterior):
     measured, rows = posterior.trace.force, posterior.trace.path.samples
 
     def log_prob(q):
-        own = dict(zip(posterior.names, q, strict=True))
+        sampled = dict(zip(posterior.names, q, strict=True))
         priors = {name: posterior.priors[name] for name in posterior.names}
-        values = fixed | {name: _value(priors[name], own[name]) for name in own}
-        prior = sum(_log_density(priors[name], own[name]) for name in own)
+        values = fixed | {name: _value(priors[name], sampled[name]) for name in sampled}
+        prior = sum(_log_density(priors[name], sampled[name]) for name in sampled)
         force = _force(values, posterior.model.parameters, motion)[rows]
         residual = measured - force - values["offset"]
         return prior + _ornstein_uhlenbeck(residual, float(step[0]), values)

@@ -69,11 +69,11 @@ def until_enough(advance, limits):
     began, measuring = time.process_time(), 0.0
     while True:
         chains = advance()
-        at = time.process_time()
-        found = measure(chains)
-        measuring += time.process_time() - at
-        least = min(found.ess_bulk.min(), found.ess_tail.min())
-        if (least >= ess and found.worst_r_hat <= R_HAT) or at - began - measuring > seconds:
+        now = time.process_time()
+        convergence = measure(chains)
+        measuring += time.process_time() - now
+        worst = min(convergence.ess_bulk.min(), convergence.ess_tail.min())
+        if (worst >= ess and convergence.worst_r_hat <= R_HAT) or now - began - measuring > seconds:
             return chains, measuring
 
 
@@ -106,16 +106,16 @@ def nuts(posterior, begin, seed, limits):
     kernel = NUTS(potential_fn=lambda q: -density(q), dense_mass=True)
     warm_up, draws = (400, 250) if limits[0] >= ESS else (50, 50)
     mcmc = MCMC(kernel, num_warmup=warm_up, num_samples=draws, **options)
-    kept, key = [], jax.random.PRNGKey(seed)
+    samples, key = [], jax.random.PRNGKey(seed)
 
     def advance():
-        if kept:
+        if samples:
             mcmc.post_warmup_state = mcmc.last_state
             mcmc.run(mcmc.last_state.rng_key)
         else:
             mcmc.run(key, init_params=jax.numpy.asarray(begin[:4]))
-        kept.append(np.asarray(mcmc.get_samples(group_by_chain=True)))
-        return np.concatenate(kept, axis=1)[:, :, None]
+        samples.append(np.asarray(mcmc.get_samples(group_by_chain=True)))
+        return np.concatenate(samples, axis=1)[:, :, None]
 
     return until_enough(advance, limits)
 
@@ -127,14 +127,14 @@ def race(name, posterior, options):
     """Print a table of one record; what was missed."""
     limits = (50.0, 5.0) if options.quick else (ESS, SECONDS)
     effort = "quick" if options.quick else "thorough"
-    right = by_step(sample(posterior, effort, options.seed + 1)).reshape(-1, posterior.dim)
-    mean, sd = right.mean(axis=0), right.std(axis=0)
+    reference = by_step(sample(posterior, effort, options.seed + 1)).reshape(-1, posterior.dim)
+    mean, sd = reference.mean(axis=0), reference.std(axis=0)
     rng = np.random.default_rng(options.seed)
     modes, failed = find_modes(posterior, rng), []
     begin = rng.multivariate_normal(modes[0].q, modes[0].covariance, 2000)
     begin = begin[np.isfinite(posterior.log_prob(begin))]
-    same = np.array([jax.jit(jax_density(posterior))(q) for q in begin[:20]])
-    if not np.allclose(same, posterior.log_prob(begin[:20]), rtol=1e-8):
+    densities = np.array([jax.jit(jax_density(posterior))(q) for q in begin[:20]])
+    if not np.allclose(densities, posterior.log_prob(begin[:20]), rtol=1e-8):
         failed.append(f"{name}: JAX's density is another")
     heads = ("seconds", "evaluations", "ESS", "R-hat", "mean", "sd")
     print(f"{name}: {posterior.trace.samples:,} samples, {posterior.dim} coordinates")
@@ -144,17 +144,17 @@ def race(name, posterior, options):
         np.random.seed(options.seed)  # noqa: NPY002 - emcee's
         chains, measuring = draw(posterior, begin, options.seed, limits)
         seconds = time.process_time() - began - measuring
-        found, q = measure(chains), chains.reshape(-1, posterior.dim)
-        off = np.abs(q.mean(axis=0) - mean) / sd, np.abs(q.std(axis=0) / sd - 1.0)
-        least = min(found.ess_bulk.min(), found.ess_tail.min())
-        whose = ", ".join(posterior.names[each.argmax()] for each in off)
+        convergence, q = measure(chains), chains.reshape(-1, posterior.dim)
+        bias = np.abs(q.mean(axis=0) - mean) / sd, np.abs(q.std(axis=0) / sd - 1.0)
+        worst = min(convergence.ess_bulk.min(), convergence.ess_tail.min())
+        whose = ", ".join(posterior.names[error.argmax()] for error in bias)
         print(
-            f"{tool:18}{seconds:12.1f}{posterior.evaluations:12,d}{least:12.0f}"
-            f"{found.worst_r_hat:12.3f}{off[0].max():12.3f}{off[1].max():12.1%}   {whose}",
+            f"{tool:18}{seconds:12.1f}{posterior.evaluations:12,d}{worst:12.0f}"
+            f"{convergence.worst_r_hat:12.3f}{bias[0].max():12.3f}{bias[1].max():12.1%}   {whose}",
             flush=True,
         )
-        enough = least >= limits[0] and found.worst_r_hat <= R_HAT
-        if enough and not options.quick and (off[0].max() > MEAN or off[1].max() > SD):
+        enough = worst >= limits[0] and convergence.worst_r_hat <= R_HAT
+        if enough and not options.quick and (bias[0].max() > MEAN or bias[1].max() > SD):
             failed.append(f"{name}: {tool} draws from another posterior")
     print()
     return failed

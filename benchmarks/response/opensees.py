@@ -22,7 +22,7 @@ def device(storey: int) -> tuple[float, float, float, float]:
     return slip / 0.1, 0.02, slip, 1.5
 
 
-def main(record: Path, step: float, parts: int) -> list[float]:
+def main(record: Path, step: float, substeps: int) -> list[float]:
     """Largest drifts of the storeys, in."""
     import openseespy.opensees as ops
 
@@ -50,13 +50,13 @@ def main(record: Path, step: float, parts: int) -> list[float]:
     ops.algorithm("Newton")
     ops.integrator("Newmark", 0.5, 0.25)
     ops.analysis("Transient")
-    most = [0.0] * 6
-    for _ in range(parts * (len(values) - 1)):
-        if ops.analyze(1, step / parts) != 0:
+    peaks = [0.0] * 6
+    for _ in range(substeps * (len(values) - 1)):
+        if ops.analyze(1, step / substeps) != 0:
             raise RuntimeError("OpenSees did not converge")
         x = [ops.nodeDisp(i, 1) for i in range(7)]
-        most = [max(m, abs(x[i + 1] - x[i])) for i, m in enumerate(most)]
-    return most
+        peaks = [max(m, abs(x[i + 1] - x[i])) for i, m in enumerate(peaks)]
+    return peaks
 
 
 if __name__ == "__main__":

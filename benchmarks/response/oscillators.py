@@ -53,8 +53,8 @@ def backlash(row):
     kf, kb, gap, ell, k0, fwd, bwd, n, s2, ef, eb, vs = row
 
     def spring(z):
-        up, down = np.logaddexp(0, (z - gap / 2) / ell), np.logaddexp(0, -(z + gap / 2) / ell)
-        return kf * ell * up - kb * ell * down + k0 * z
+        push, pull = np.logaddexp(0, (z - gap / 2) / ell), np.logaddexp(0, -(z + gap / 2) / ell)
+        return kf * ell * push - kb * ell * pull + k0 * z
 
     def rate(v, z):
         g = float(spring(z))
@@ -99,10 +99,10 @@ class Gap:
 
     def turn(self, x, direction, slip):
         """Turn at a place into a direction; what the force would jump by is carried on."""
-        before, self.edge = self.force(x, slip), min(max(self.edge, x - self.width), x)
+        previous, self.edge = self.force(x, slip), min(max(self.edge, x - self.width), x)
         if self.edge in (x, x - self.width):
             self.side, self.carry = direction, 0.0
-            self.carry = float(before - self.force(x, slip))
+            self.carry = float(previous - self.force(x, slip))
 
 
 def peaks(building, ground, device, begin=0.0, state=None, event=None):
@@ -135,8 +135,8 @@ def staged_peaks(building, ground, row):
             return way * y[1]
 
         turn.terminal, turn.direction = True, -1.0
-        found, t, y = peaks(building, ground, device, t, y, turn)
-        top, direction = np.maximum(top, found), -direction
+        largest, t, y = peaks(building, ground, device, t, y, turn)
+        top, direction = np.maximum(top, largest), -direction
         gap.turn(float(y[0]), direction, row[0] * y[2])  # at rest: no viscous force
         y = np.array([y[0], TINY * direction, y[2]])
     return top
@@ -188,8 +188,8 @@ def bouc_wen_row(rng, slip):
 def backlash_row(rng, slip):
     """Parameters of LuGre friction with a backlash spring."""
     stiff, (fwd, bwd) = slip * rng.uniform(8, 15, 2), slip * rng.uniform(0.8, 1.2, 2)
-    inside = rng.uniform(0.15, 0.4), 0.02, 0.2 * slip
-    return np.array([*stiff, *inside, fwd, bwd, rng.uniform(1, 5), 0.005 * slip, 0.1, 0.15, 0.6])
+    play = rng.uniform(0.15, 0.4), 0.02, 0.2 * slip
+    return np.array([*stiff, *play, fwd, bwd, rng.uniform(1, 5), 0.005 * slip, 0.1, 0.15, 0.6])
 
 
 CASES = {
@@ -212,5 +212,5 @@ def errors_of(name, seed, samples):
         theirs = peaks(building, ground, device_of(row))[0]
     else:
         theirs = staged_peaks(building, ground, row)
-    found = np.array([ours.travel[0, 0, 0], ours.force[0, 0, 0]])
-    return np.abs(found - theirs) / theirs
+    computed = np.array([ours.travel[0, 0, 0], ours.force[0, 0, 0]])
+    return np.abs(computed - theirs) / theirs

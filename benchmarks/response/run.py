@@ -69,8 +69,8 @@ def beside_opensees(ground, python):
         values = Path(folder) / "values.txt"
         np.savetxt(values, ground.acceleration / opensees.GRAVITY)
         words = [python, opensees.__file__, str(values), str(ground.step), str(PARTS)]
-        said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
-    theirs = [float(word) for word in said.split()[-6:]]
+        output = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    theirs = [float(word) for word in output.split()[-6:]]
     print("\nsix storeys, a Bouc-Wen device in each, no other damping; largest drift, in")
     print(f"{'storey':>8s}{'ours':>10s}{'OpenSees':>10s}{'apart':>9s}")
     for i, (a, b) in enumerate(zip(ours.drift[0, 0], theirs, strict=True), start=1):
@@ -80,19 +80,21 @@ def beside_opensees(ground, python):
 def speed(ground, draws, jobs):
     """Print the time of draws of the building, and whether they settled."""
     rng = np.random.default_rng(1)
-    above = np.cumsum(opensees.WEIGHTS[::-1])[::-1]
-    theta = np.array([[three_stage_row(rng, 0.05 * w) for w in above] for _ in range(draws)])
+    totals = np.cumsum(opensees.WEIGHTS[::-1])[::-1]
+    theta = np.array([[three_stage_row(rng, 0.05 * w) for w in totals] for _ in range(draws)])
     dampers = Dampers(ThreeStage(), theta, rng.random((draws, 6)), theta[..., 4])
-    begun = os.times()
-    found = response_of(six_storeys(), [ground], dampers, jobs=jobs)
+    started = os.times()
+    result = response_of(six_storeys(), [ground], dampers, jobs=jobs)
     ended = os.times()
-    used, clock = sum(ended[:4]) - sum(begun[:4]), ended.elapsed - begun.elapsed
+    cpu, clock = sum(ended[:4]) - sum(started[:4]), ended.elapsed - started.elapsed
     print(f"\n{draws} draws x 6 storeys x 6 dampers x {ground.acceleration.size} samples", end="")
     print(
-        f", {jobs} jobs\nprocessor {used:.0f} s, clock {clock:.0f} s, load {os.getloadavg()[1]:.1f}"
+        f", {jobs} jobs\nprocessor {cpu:.0f} s, clock {clock:.0f} s, load {os.getloadavg()[1]:.1f}"
     )
-    print(f"not settled within 1 %: {int(found.unsettled.sum())}; ran away: {found.unstable.sum()}")
-    print(f"largest energy not accounted for: {found.imbalance.max():.1e} of the input")
+    print(
+        f"not settled within 1 %: {int(result.unsettled.sum())}; ran away: {result.unstable.sum()}"
+    )
+    print(f"largest energy not accounted for: {result.imbalance.max():.1e} of the input")
 
 
 def main():

@@ -63,7 +63,7 @@ def show(noise, tests, study):
 
 
 def main():
-    parser = common.parser_of(__doc__, jobs=2, out="out_sbc")
+    parser = common.parser_of(__doc__, jobs=2, output="out_sbc")
     parser.add_argument("--tests", type=int, default=300)
     parser.add_argument("--control", type=int, default=100, help="tests of the wrong likelihood")
     parser.add_argument("--model", default="three_stage", help="three_stage or backlash")
@@ -74,8 +74,8 @@ def main():
     missed = []
     for noise, count in ((TRUE, options.tests), (WRONG, options.control)):
         words = (noise, options.model, options.quick)
-        every = [(options.seed, index, *words) for index in range(count)]
-        tests = [Ranked(**result) for result in common.run_series(run_test, every, options)]
+        tasks = [(options.seed, index, *words) for index in range(count)]
+        tests = [Ranked(**result) for result in common.run_series(run_test, tasks, options)]
         failed = show(noise, tests, study)
         missed += [f"{noise}: {test.error}" for test in tests if test.error]
         if bool(failed) != (noise == WRONG):

@@ -74,8 +74,8 @@ def lay_out(folder, tests):
     for number in range(-(-tests // (len(PRESSURES) * len(MATRIX.frequencies)))):
         write_campaign(folder / f"series_{number}", number, MATRIX)
         text = (folder / f"series_{number}" / "campaign.toml").read_text(encoding="utf-8")
-        header, *found = text.split("[[test]]\n")
-        for entry in found[:-1]:  # the last one is held out
+        header, *sections = text.split("[[test]]\n")
+        for entry in sections[:-1]:  # the last one is held out
             entry = entry.replace('id = "', f'id = "s{number}_')
             entries.append(entry.replace('file = "', f'file = "series_{number}/'))
     path = folder / "campaign.toml"
@@ -87,15 +87,17 @@ def lay_out(folder, tests):
 def campaign(tests):
     """Calibrate so many tests; a line of times, memory and sizes of the files."""
     watched = Watched()
-    with tempfile.TemporaryDirectory() as home:
-        path, out = lay_out(Path(home) / "campaign", tests), Path(home) / "out"
+    with tempfile.TemporaryDirectory() as folder:
+        path, output = lay_out(Path(folder) / "campaign", tests), Path(folder) / "out"
         threading.Thread(target=watched.follow, daemon=True).start()
         plan = plan_campaign(path, RunOptions(effort="quick", seed=1, jobs=WORKERS))
-        view = calibrate_plan(plan, out, watched.observe)
-        own = sum(test["seconds"] for test in read_json(out / MANIFEST)["tests"].values())
-        stored = sum(file.stat().st_size for file in out.rglob("*.nc")) / tests / 2**20
-        pages = sum(file.stat().st_size for file in out.rglob("*.html")) / 2**20
-    line = f"{tests:6d}{own / tests:9.1f}{watched.seconds['tests'] / (own / WORKERS):9.3f}"
+        view = calibrate_plan(plan, output, watched.observe)
+        sampling = sum(test["seconds"] for test in read_json(output / MANIFEST)["tests"].values())
+        stored = sum(file.stat().st_size for file in output.rglob("*.nc")) / tests / 2**20
+        pages = sum(file.stat().st_size for file in output.rglob("*.html")) / 2**20
+    line = (
+        f"{tests:6d}{sampling / tests:9.1f}{watched.seconds['tests'] / (sampling / WORKERS):9.3f}"
+    )
     for stage in STAGES:
         line += f"{watched.seconds[stage]:9.0f}{watched.peaks[stage]:7.0f}"
     failed = [check.status for check in view.checks].count("fail")
@@ -110,8 +112,8 @@ def main():
     print("  sweeps  worker  MiB/test    page failed")
     for tests in [2] if options.quick else options.tests:
         # in a process of its own, whose memory is counted
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as apart:
-            print(apart.submit(campaign, tests).result(), flush=True)
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+            print(pool.submit(campaign, tests).result(), flush=True)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ TESTS = (
 
 def pytest_configure(config):
     """As a plugin of pytest: draw other random numbers from every seed."""
-    plain, number = np.random.default_rng, int(os.environ["BENCHMARK_SEED"])
+    default_rng, number = np.random.default_rng, int(os.environ["BENCHMARK_SEED"])
 
     def other(seed=None):
         if isinstance(seed, int | np.integer | list | tuple | np.ndarray):
@@ -42,7 +42,7 @@ def pytest_configure(config):
         elif isinstance(seed, np.random.SeedSequence):
             words = [*np.atleast_1d(seed.entropy).tolist(), number]
             seed = np.random.SeedSequence(words, spawn_key=seed.spawn_key)
-        return plain(seed)
+        return default_rng(seed)
 
     np.random.default_rng = other
 
@@ -62,16 +62,16 @@ def main():
     for seed in range(1, seeds + 1):
         for name, variables in SETS.items():
             began = time.monotonic()
-            home = {"PYTHONPATH": str(common.PROJECT), "BENCHMARK_SEED": str(seed)}
-            done = subprocess.run(
-                command, env=os.environ | home | variables, capture_output=True, text=True
+            paths = {"PYTHONPATH": str(common.PROJECT), "BENCHMARK_SEED": str(seed)}
+            process = subprocess.run(
+                command, env=os.environ | paths | variables, capture_output=True, text=True
             )
-            count = {w: re.search(rf"(\d+) {w}", done.stdout) for w in ("passed", "failed")}
+            count = {w: re.search(rf"(\d+) {w}", process.stdout) for w in ("passed", "failed")}
             cells = "".join(f"{int(c[1]) if c else 0:8d}" for c in count.values())
             print(f"{name:14}{seed:5d}{cells}{(time.monotonic() - began) / 60:9.1f}", flush=True)
-            fell = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
-            if done.returncode and not fell:
-                fell = [(done.stdout + done.stderr).strip().splitlines()[-1]]
+            fell = re.findall(r"^(?:FAILED|ERROR) (\S+)", process.stdout, re.MULTILINE)
+            if process.returncode and not fell:
+                fell = [(process.stdout + process.stderr).strip().splitlines()[-1]]
             failed += [f"{name}, seed {seed}: {test}" for test in fell]
     common.finish(failed)
 

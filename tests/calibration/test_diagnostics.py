@@ -45,10 +45,10 @@ def test_a_shifted_ensemble_and_a_drift_in_time_raise_r_hat():
     chains = np.random.default_rng(6).normal(size=(4, 200, 20, 3))
     chains[2, :, :, 1] += 1.5
     chains[:, :, :, 2] += np.linspace(0, 3, 200)[None, :, None]
-    found = measure(chains)
-    assert found.r_hat[0] < 1.01
-    assert np.all(found.r_hat[1:] > 1.1)
-    assert not found.reached(1.01, 1)
+    convergence = measure(chains)
+    assert convergence.r_hat[0] < 1.01
+    assert np.all(convergence.r_hat[1:] > 1.1)
+    assert not convergence.reached(1.01, 1)
 
 
 # --- which directions and pairs the data inform
@@ -76,31 +76,31 @@ def linear_posterior(design=DESIGN):
 def test_directions_of_a_linear_model_are_those_of_its_curvature():
     curvature = (DESIGN * PRIOR_SD).T @ (DESIGN * PRIOR_SD) / NOISE**2
     values, vectors = np.linalg.eigh(curvature)
-    found = find_directions(NAMES, PRIOR_SD, exact_draws(linear_posterior()))
-    np.testing.assert_allclose(found.curvature, values[::-1], rtol=1e-6, atol=1e-9)
-    alignment = np.abs(np.sum(found.axes * vectors[:, ::-1], axis=0))
+    directions = find_directions(NAMES, PRIOR_SD, exact_draws(linear_posterior()))
+    np.testing.assert_allclose(directions.curvature, values[::-1], rtol=1e-6, atol=1e-9)
+    alignment = np.abs(np.sum(directions.axes * vectors[:, ::-1], axis=0))
     np.testing.assert_allclose(alignment, 1.0, atol=1e-9)
-    assert found.informed == 2
-    assert found.carriers(2) == ("c",)  # which the data do not see
+    assert directions.informed == 2
+    assert directions.carriers(2) == ("c",)  # which the data do not see
 
 
 @pytest.mark.parametrize(("draws", "dim"), [(100, 20), (60, 20), (100, 5)])
 def test_few_draws_without_information_inform_no_direction(draws, dim):
     rng, names = np.random.default_rng(2), tuple("x" * dim)
-    found = [
+    counts = [
         find_directions(names, np.ones(dim), rng.normal(size=(draws, dim))).informed
         for _ in range(200)
     ]
-    assert np.mean(found) < 0.05  # 3 without the limit, of 100 draws in 20 dimensions
+    assert np.mean(counts) < 0.05  # 3 without the limit, of 100 draws in 20 dimensions
 
 
 def test_draws_that_follow_each_other_count_as_fewer():
     rng = np.random.default_rng(4)
-    held = np.repeat(rng.normal(size=(100, 20)), 30, axis=0)
+    repeats = np.repeat(rng.normal(size=(100, 20)), 30, axis=0)
     names = tuple("x" * 20)
-    assert find_directions(names, np.ones(20), held, 100.0).informed == 0
-    assert find_directions(names, np.ones(20), held).informed > 0  # the control
-    assert find_directions(names, np.ones(20), held, 15.0).informed == 0  # fewer than dimensions
+    assert find_directions(names, np.ones(20), repeats, 100.0).informed == 0
+    assert find_directions(names, np.ones(20), repeats).informed > 0  # the control
+    assert find_directions(names, np.ones(20), repeats, 15.0).informed == 0  # fewer than dimensions
 
 
 def test_pairs_that_trade_off_are_named():

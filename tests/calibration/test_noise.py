@@ -84,8 +84,8 @@ def test_draws_have_the_covariance_of_their_density(name, time):
     draws = NOISES[name].draw(np.random.default_rng(3), time, values, np.tile(travel, (n, 1)))
     expected = covariance(name, 1, time, travel)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    off = np.abs(np.cov(draws, rowvar=False) - expected) / scale
-    assert np.max(off) < 0.03
+    error = np.abs(np.cov(draws, rowvar=False) - expected) / scale
+    assert np.max(error) < 0.03
     wider = np.abs(np.cov(1.03 * draws, rowvar=False) - expected) / scale  # the control
     assert np.max(wider) > 0.03
 
@@ -112,15 +112,15 @@ def test_a_noise_that_is_none_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("own", "other", "expected"),
+    ("interval", "another", "expected"),
     [
         ((1.0, 2.0, 3.0), (1.0, 2.0, 3.0), False),
         ((1.0, 2.0, 3.0), (1.4, 3.1, 5.0), True),
         ((1.0, 2.9, 3.0), (3.01, 3.1, 3.2), True),  # the intervals do not overlap
     ],
 )
-def test_a_quantity_moves_by_more_than_half_its_interval_or_leaves_it(own, other, expected):
-    assert moves(own, other) is expected
+def test_a_quantity_moves_by_more_than_half_its_interval_or_leaves_it(interval, another, expected):
+    assert moves(interval, another) is expected
 
 
 def test_white_noise_decides_nothing_and_a_noise_without_priors_is_an_error_of_its_own(tmp_path):
@@ -150,11 +150,11 @@ def test_white_noise_decides_nothing_and_a_noise_without_priors_is_an_error_of_i
     assert [fit["noise"] for fit in (staged, iid, student_t)] == ["staged", "iid", "student_t"]
     assert "noise_build" in staged["error"]
     assert staged["quantities"] == {}
-    own = quantiles_of(task.posterior(), stored.values())
+    quantiles = quantiles_of(task.posterior(), stored.values())
     for fit in (iid, student_t):
         assert not fit["error"]
         assert fit["size"] >= 50.0
         assert not {"noise_sd", "start", "gamma1"} & set(fit["quantities"])
         for name in ("Fc_fwd", "Fc_bwd", "sigma0"):
-            assert not moves(own[name], fit["quantities"][name]), name
-            assert fit["quantities"][name][1] == pytest.approx(own[name][1], rel=0.05)
+            assert not moves(quantiles[name], fit["quantities"][name]), name
+            assert fit["quantities"][name][1] == pytest.approx(quantiles[name][1], rel=0.05)

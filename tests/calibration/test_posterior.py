@@ -48,18 +48,18 @@ def with_force(force):
 @CASES
 def test_the_density_is_prior_times_the_likelihood_computed_by_hand(model, noise, initial):
     posterior = build(model, noise, initial)
-    drawn, first = posterior.sample_prior(20, 0), posterior.first
-    q = posterior.coordinates(drawn)
+    draws, begin = posterior.sample_prior(20, 0), posterior.first
+    q = posterior.coordinates(draws)
     values = posterior.values(q)
     for name in posterior.names:  # which invert each other
-        np.testing.assert_allclose(values[name], drawn[name], rtol=1e-9, atol=1e-12)
-    place = values["start"] if posterior.model.has_gap else None
-    force = posterior.model.force(posterior.model.theta(values), TRACE, place)
+        np.testing.assert_allclose(values[name], draws[name], rtol=1e-9, atol=1e-12)
+    position = values["start"] if posterior.model.has_gap else None
+    force = posterior.model.force(posterior.model.theta(values), TRACE, position)
     residual = FORCE - values["offset"][:, None] - force
     np.testing.assert_allclose(posterior.residual(q), residual, rtol=1e-12, atol=1e-12)
     travel = posterior.travel(values)
-    travel = None if travel is None else travel[:, first:]
-    expected = NOISES[noise].log_density(residual[:, first:], TIME[first:], values, travel)
+    travel = None if travel is None else travel[:, begin:]
+    expected = NOISES[noise].log_density(residual[:, begin:], TIME[begin:], values, travel)
     np.testing.assert_allclose(posterior.log_likelihood(q), expected, rtol=1e-12)
     total = posterior.log_prob(q)
     np.testing.assert_allclose(total, posterior.log_prior(q) + expected, rtol=1e-12)
@@ -94,10 +94,10 @@ def test_gamma1_is_not_sampled_but_keeps_its_prior():
     posterior = build()
     assert "gamma1" not in posterior.names
     np.testing.assert_array_equal(posterior.values(points(posterior, 3))["gamma1"], 1.0)
-    drawn = posterior.sample_prior(500, 0)
-    assert np.std(np.log(drawn["gamma1"])) == pytest.approx(0.5, rel=0.15)
-    columns = dict(zip(ThreeStage().parameters, posterior.theta(drawn).T, strict=True))
-    np.testing.assert_allclose(columns["gamma2"] / columns["gamma1"], drawn["ell"])
+    draws = posterior.sample_prior(500, 0)
+    assert np.std(np.log(draws["gamma1"])) == pytest.approx(0.5, rel=0.15)
+    columns = dict(zip(ThreeStage().parameters, posterior.theta(draws).T, strict=True))
+    np.testing.assert_allclose(columns["gamma2"] / columns["gamma1"], draws["ell"])
     assert np.all(columns["Fs_fwd"] >= columns["Fc_fwd"])
 
 
@@ -118,16 +118,16 @@ def test_a_mask_drops_the_samples_before_the_first_slip():
     q = points(posterior)
     expected = posterior.log_likelihood(q)
     for sample, matters in ((posterior.first - 1, False), (posterior.first, True)):
-        changed = FORCE.copy()
-        changed[sample] += 5.0
-        masked = build(initial="discard", trace=with_force(changed))
+        force = FORCE.copy()
+        force[sample] += 5.0
+        masked = build(initial="discard", trace=with_force(force))
         assert np.all((masked.log_likelihood(q) != expected) == matters)
     # where the device began does not matter afterwards
     values = posterior.sample_prior(10, 5)
     values |= {"d2": np.full(10, 0.1), "d3": np.full(10, 0.1), "ell": np.full(10, 0.005)}
     forces = [posterior.force(values | {"start": np.full(10, w)}) for w in (0.05, 0.95)]
-    after = slice(posterior.first, None)
-    np.testing.assert_allclose(forces[0][:, after], forces[1][:, after], atol=1e-5)
+    fitted = slice(posterior.first, None)
+    np.testing.assert_allclose(forces[0][:, fitted], forces[1][:, fitted], atol=1e-5)
 
 
 def test_points_and_values_are_taken_by_their_names():
@@ -138,7 +138,7 @@ def test_points_and_values_are_taken_by_their_names():
         posterior.log_prob(table[sorted(table.columns)]), posterior.log_prob(q)
     )
     assert posterior.residual(np.empty((0, posterior.dim))).shape == (0, TIME.size)
-    for call, bad, name in (
+    for function, bad, name in (
         (posterior.log_prob, pd.DataFrame(q), "lacks"),
         (posterior.log_prob, q[0], "q "),
         (posterior.log_prob, q[:, 1:], "q "),
@@ -149,7 +149,7 @@ def test_points_and_values_are_taken_by_their_names():
         (lambda seed: posterior.sample_prior(3, seed), "x", "seed"),
     ):
         with pytest.raises(FitError, match=name):
-            call(bad)
+            function(bad)
 
 
 SLOW = Trace.from_arrays(TIME, 0.01 * MOTION, actuation=0.03, force=FORCE)
@@ -162,7 +162,7 @@ LATE = Trace.from_arrays(
 
 
 def test_what_makes_no_posterior_is_refused():
-    for trace, changed, name in (
+    for trace, options, name in (
         (None, {}, "trace"),
         (TIME, {}, "trace"),
         (Trace.from_arrays(TIME, MOTION), {}, "force"),
@@ -175,7 +175,7 @@ def test_what_makes_no_posterior_is_refused():
         (LATE, {"initial": "discard"}, "discard"),
     ):
         with pytest.raises((FitError, PriorError), match=name):
-            Posterior(trace, **{"priors": "brfd"} | changed)
+            Posterior(trace, **{"priors": "brfd"} | options)
 
 
 def test_a_prior_that_allows_what_no_damper_has_is_refused():
@@ -203,6 +203,6 @@ def test_gap_and_self_energizing_factors_follow_from_the_parameters():
     for name, expected in (("slip_to_slip", [0.15, 0.3]), ("C_fwd", [1, 2]), ("C_bwd", [3, 4])):
         np.testing.assert_allclose(derived[name], expected)
     assert set(derive_from_parameters(ThreeStage(), values)) == {"slip_to_slip"}
-    without = derive_from_parameters(ThreeStage(), values, pressure=0.0, area=2.0)
-    assert set(without) == {"slip_to_slip"}
+    unloaded = derive_from_parameters(ThreeStage(), values, pressure=0.0, area=2.0)
+    assert set(unloaded) == {"slip_to_slip"}
     assert derive_from_parameters(LuGre(), values) == {}

@@ -120,9 +120,9 @@ def test_a_scatter_that_is_likely_none_is_exponential(tmp_path):
     half_normal = '[scatter.friction]\nparameters = ["Fc_fwd"]\nsd = 0.1\n'
     text = SPARSE + offset.replace("0.2", '"0.4448222 kN"') + half_normal
     scatter = load_priors(str(write(tmp_path, text))).scatter
-    for name, above in (("k", 0.2), ("offset", 0.1)):
+    for name, threshold in (("k", 0.2), ("offset", 0.1)):
         assert scatter[name].sparse
-        assert stats.expon(scale=scatter[name].sd).sf(above) == pytest.approx(0.05, rel=1e-5)
+        assert stats.expon(scale=scatter[name].sd).sf(threshold) == pytest.approx(0.05, rel=1e-5)
     assert not scatter["friction"].sparse
     assert scatter["friction"].sd == 0.1
 

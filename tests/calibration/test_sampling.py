@@ -43,16 +43,16 @@ def bent(q):
     return normal(np.column_stack([q[:, :3], q[:, 3] - 0.7 * (q[:, 0] ** 2 - 1.0), q[:, 4]]))
 
 
-def draws_of(density, begin, seed=1, effort=EFFORT, **more):
+def draws_of(density, begin, seed=1, effort=EFFORT, **options):
     modes = [maximize(density, begin, SD)]
-    return sample_density(density, modes, effort, np.random.default_rng(seed), **more)
+    return sample_density(density, modes, effort, np.random.default_rng(seed), **options)
 
 
 def agrees(chains, mean, sd):
     """Whether means lie within 5 standard errors and standard deviations within 12 %."""
     q, ess = chains.q.reshape(-1, DIM), chains.convergence.ess_bulk[:DIM]
-    near = np.abs(q.mean(axis=0) - mean) < 5.0 * sd / np.sqrt(ess)
-    return bool(np.all(near) and np.all(np.abs(q.std(axis=0) / sd - 1.0) < 0.12))
+    close = np.abs(q.mean(axis=0) - mean) < 5.0 * sd / np.sqrt(ess)
+    return bool(np.all(close) and np.all(np.abs(q.std(axis=0) / sd - 1.0) < 0.12))
 
 
 def test_draws_have_the_moments_of_the_density():
@@ -73,12 +73,12 @@ def test_draws_have_the_moments_of_the_density():
 def test_the_seed_decides_and_what_is_reported_does_not():
     effort = Effort(ess=1e6, limit=150, length=1.0, ensembles=2, walkers=20)
     news = []
-    first, again, other = (
+    base, again, reseeded = (
         draws_of(normal, MEAN, seed=seed, effort=effort, report=report).q
         for seed, report in ((3, None), (3, news.append), (4, None))
     )
-    np.testing.assert_array_equal(first, again)
-    assert not np.array_equal(first[:, :5], other[:, :5])
+    np.testing.assert_array_equal(base, again)
+    assert not np.array_equal(base[:, :5], reseeded[:, :5])
     assert "ESS 1e+06" in news[-1].missing
     draws_of(normal, MEAN, report=news.append)
     assert news[-1].missing == ""
@@ -131,15 +131,15 @@ def sampled(chains):
     """Whether means, variances and the law of the first coordinate are the normal's."""
     late = chains[:, chains.shape[1] // 6 :]
     standard = np.linalg.solve(FACTOR, (late - MEAN).reshape(-1, DIM).T).T.reshape(late.shape)
-    apart = int(3 * np.max(autocorrelation_time(standard)))
+    stride = int(3 * np.max(autocorrelation_time(standard)))
     mean, variance = standard.mean(axis=(0, 1, 2)), standard.var(axis=(0, 1, 2))
-    law = stats.kstest(standard[:, ::apart, :, 0].ravel(), stats.norm.cdf)
-    near = np.max(np.abs(mean)) < 0.05 and np.max(np.abs(variance - 1)) < 0.05
-    return bool(near and law.pvalue > 0.001)
+    law = stats.kstest(standard[:, ::stride, :, 0].ravel(), stats.norm.cdf)
+    close = np.max(np.abs(mean)) < 0.05 and np.max(np.abs(variance - 1)) < 0.05
+    return bool(close and law.pvalue > 0.001)
 
 
 @pytest.mark.parametrize(
-    ("moves", "steps", "right"),
+    ("moves", "steps", "expected"),
     [
         ([(IndependenceMove(NARROW, np.random.default_rng(1)), 1.0)], 1500, True),
         (
@@ -154,8 +154,8 @@ def sampled(chains):
     ],
     ids=["independent, badly placed", "those of the sampler", "without the proposal's density"],
 )
-def test_a_move_samples_a_correlated_normal(moves, steps, right):
-    assert sampled(run(moves, steps)) is right
+def test_a_move_samples_a_correlated_normal(moves, steps, expected):
+    assert sampled(run(moves, steps)) is expected
 
 
 def test_the_harness_rejects_draws_that_are_slightly_too_wide_or_shifted():
@@ -192,10 +192,10 @@ def test_least_squares_ends_where_scipy_does_and_stays_where_there_is_no_number(
         expected = [
             optimize.least_squares(
                 lambda x: np.concatenate([decay(x[None])[0], x]),
-                np.clip(one, 0.01 - reach, reach - 0.01),
+                np.clip(point, 0.01 - reach, reach - 0.01),
                 bounds=(-reach, reach),
             ).x
-            for one in begin
+            for point in begin
         ]
         np.testing.assert_allclose(least_squares(decay, begin, reach), expected, atol=1e-3)
 
@@ -203,9 +203,9 @@ def test_least_squares_ends_where_scipy_does_and_stays_where_there_is_no_number(
         return np.where(points < 1.0, np.nan, points - 0.5)
 
     with np.errstate(all="ignore"):
-        found = least_squares(residual, np.array([[0.0], [3.0]]), 8.0)
-    assert found[0, 0] == 0.0
-    assert found[1, 0] == pytest.approx(1.0, abs=0.05)
+        minima = least_squares(residual, np.array([[0.0], [3.0]]), 8.0)
+    assert minima[0, 0] == 0.0
+    assert minima[1, 0] == pytest.approx(1.0, abs=0.05)
 
 
 # --- proposals
@@ -213,11 +213,11 @@ def test_least_squares_ends_where_scipy_does_and_stays_where_there_is_no_number(
 
 def test_the_density_of_a_mixture_is_that_of_scipy():
     points = np.random.default_rng(0).normal(MEAN, 2.0 * SD, size=(50, DIM))
-    parts = zip(NARROW.weights, NARROW.means, NARROW.factors, NARROW.dof, strict=True)
-    known = sum(w * stats.multivariate_t(m, f @ f.T, df=d).pdf(points) for w, m, f, d in parts)
-    np.testing.assert_allclose(np.exp(NARROW.log_density(points)), known, rtol=1e-8)
-    both = Proposal((0.25, 0.75), (NARROW, NARROW))
-    np.testing.assert_allclose(both.log_density(points), NARROW.log_density(points))
+    terms = zip(NARROW.weights, NARROW.means, NARROW.factors, NARROW.dof, strict=True)
+    expected = sum(w * stats.multivariate_t(m, f @ f.T, df=d).pdf(points) for w, m, f, d in terms)
+    np.testing.assert_allclose(np.exp(NARROW.log_density(points)), expected, rtol=1e-8)
+    mixture = Proposal((0.25, 0.75), (NARROW, NARROW))
+    np.testing.assert_allclose(mixture.log_density(points), NARROW.log_density(points))
 
 
 # --- what is given

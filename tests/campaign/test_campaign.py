@@ -24,14 +24,14 @@ actuation = "500 psi"
 
 @pytest.fixture
 def folder(tmp_path):
-    inside = tmp_path / "campaign"
-    inside.mkdir()
+    campaign = tmp_path / "campaign"
+    campaign.mkdir()
     time = np.arange(1001) / 100
     table = np.column_stack([time, np.sin(np.pi * time), np.cos(np.pi * time), 500 + 0 * time])
-    for path in (inside / "a.csv", inside / "b.csv", tmp_path / "outside.csv"):
+    for path in (campaign / "a.csv", campaign / "b.csv", tmp_path / "outside.csv"):
         header = "time_s,displacement_in,force_kip,pressure_psi"
         np.savetxt(path, table, delimiter=",", header=header, comments="")
-    return inside
+    return campaign
 
 
 def load(folder, text):
@@ -82,12 +82,12 @@ def test_everything_can_be_said(folder):
     assert settings.laws["Fc_fwd"] == "compare"
     assert settings.dependence == {"sigma0": ("velocity", "amplitude")}
     assert settings.tolerances == {"energy": 0.02}
-    first, other = campaign.tests
-    assert (first.session, other.session) == ("", "Monday")
-    assert first.columns["force"] == Source("force_kip", "kip")
-    assert other.columns["force"] == Source("pressure_psi")
-    assert other.columns["time"] == Source("time_s", "s")
-    assert (other.window, other.role) == ((1, 9), "validate")
+    test_a, test_b = campaign.tests
+    assert (test_a.session, test_b.session) == ("", "Monday")
+    assert test_a.columns["force"] == Source("force_kip", "kip")
+    assert test_b.columns["force"] == Source("pressure_psi")
+    assert test_b.columns["time"] == Source("time_s", "s")
+    assert (test_b.window, test_b.role) == ((1, 9), "validate")
     assert load(folder, "[campaign]\nrate = 50\n" + TEST).rate == 50
     with pytest.raises(CampaignError, match="'Monday'"):  # it is not calibrated
         load(folder, text + COLUMNS + TEST + second + '\n[goal]\nsession = "Monday"\n')
@@ -112,11 +112,11 @@ def test_a_measured_actuation_is_a_column_whose_unit_may_stand_in_its_name_or_in
         load(folder, in_file.replace('"500 psi"', '{ name = "Pressure" }'))
 
 
-def order(**after):
+def order(**predecessors):
     """Tests with these ids, each after another or after none."""
     entries = []
-    for name, before in after.items():
-        follows = f'after = "{before}"\n' if before else ""
+    for name, predecessor in predecessors.items():
+        follows = f'after = "{predecessor}"\n' if predecessor else ""
         file = f'file = "{"b" if name == "b" else "a"}.csv"'
         entries.append(TEST.replace("p500_f0.05", name).replace('file = "a.csv"', file) + follows)
     return "".join(entries)
@@ -124,9 +124,9 @@ def order(**after):
 
 def parts(*windows):
     """A test, and one after it in the same file, with their windows."""
-    first, second = TEST.replace("p500_f0.05", "x"), TEST.replace("p500_f0.05", "y")
+    entry_x, entry_y = TEST.replace("p500_f0.05", "x"), TEST.replace("p500_f0.05", "y")
     fits = [f'window = "{window}"\n' if window else "" for window in windows]
-    return f'{first}{fits[0]}{second}{fits[1]}after = "x"\n'
+    return f'{entry_x}{fits[0]}{entry_y}{fits[1]}after = "x"\n'
 
 
 def given(table, key, value):
@@ -209,12 +209,12 @@ def test_the_demo_follows_the_papers_whole_matrix(tmp_path):
 
 
 def test_a_backslash_in_a_path_is_told_what_to_write(folder):
-    for path, why in (
+    for path, reason in (
         (r"data\runs.csv", "does not exist"),
         (r"C:\Users\a.csv", "TOML"),
         (r"x\y.csv", "TOML"),
     ):
-        with pytest.raises(CampaignError, match=rf"{why}.*write / in place of"):
+        with pytest.raises(CampaignError, match=rf"{reason}.*write / in place of"):
             load(folder, TEST.replace("a.csv", path))
 
 

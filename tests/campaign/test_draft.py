@@ -24,9 +24,9 @@ FORCE = np.tanh(4 * np.gradient(MOTION, TIME)) + 0.01 * np.cos(37 * TIME)
 SIGNALS = np.column_stack([TIME, MOTION, FORCE])  # s, in, kip
 
 
-def write(path, header=HEADER, table=SIGNALS, above=""):
+def write(path, header=HEADER, table=SIGNALS, preamble=""):
     lines = "".join(",".join(f"{cell:.6f}" for cell in row) + "\n" for row in table)
-    path.write_text(f"{above}{header}\n{lines}", encoding="utf-8")
+    path.write_text(f"{preamble}{header}\n{lines}", encoding="utf-8")
 
 
 def with_column(values):
@@ -82,11 +82,11 @@ def test_what_is_guessed_is_a_doubt(tmp_path):
     ):
         write(tmp_path / "500psi.csv", header, table)
         draft, content = draft_of(tmp_path)
-        found = content["columns"].get(role)
-        assert (found and (found["name"], found.get("unit"))) == column
-        said = doubts(draft)
-        assert any(doubt in sentence for sentence in said) if doubt else not said
-        for sentence in said:
+        entry = content["columns"].get(role)
+        assert (entry and (entry["name"], entry.get("unit"))) == column
+        sentences = doubts(draft)
+        assert any(doubt in sentence for sentence in sentences) if doubt else not sentences
+        for sentence in sentences:
             assert sentence.split(": ", 1)[1] in campaign_text(draft)
 
 
@@ -153,7 +153,7 @@ def test_a_number_in_a_name_that_may_be_another_is_a_doubt(tmp_path, names):
     ],
 )
 def test_a_level_in_a_header_is_read_whole(tmp_path, line, level):
-    write(tmp_path / "a.csv", above=f"# {line}\n")
+    write(tmp_path / "a.csv", preamble=f"# {line}\n")
     assert [test.actuation for test in draft_campaign(tmp_path).tests] == [level]
 
 
@@ -180,21 +180,21 @@ def test_a_device_that_turns_is_sent_to_a_model_of_its_own(tmp_path):
 
 
 def test_the_actuation_is_that_of_the_column_the_header_or_the_name(tmp_path):
-    held, changing = 500 + np.cos(7 * TIME), 500 + 200 * np.sin(TIME)
+    steady, changing = 500 + np.cos(7 * TIME), 500 + 200 * np.sin(TIME)
     psi = {"name": "pressure_psi", "unit": "psi"}
-    for name, above, column, actuation, doubt in (
+    for name, preamble, column, actuation, doubt in (
         ("p500", "", None, "500 psi", "p500: psi is assumed; it may be kPa"),
         ("500psi", "", 800 + 0 * TIME, "800 psi", "500 psi in the name or header, 800 psi in"),
         ("a", "# Brake pressure: 120 kPa\n", None, "120 kPa", ""),
         ("a", "# Brake held at 500 psi\n", None, "500 psi", "a: it is a pressure in the header"),
         ("800psi", "# Supply of 3000 psi\n", None, "800 psi", "it could also be 3000 psi"),
         ("0psi", "", None, "0 psi", "only laws with an intercept learn from it"),
-        ("a", "", held, "500 psi", ""),
+        ("a", "", steady, "500 psi", ""),
         ("a", "", changing, psi, ""),
     ):
         header = HEADER if column is None else f"{HEADER},pressure_psi"
         table = SIGNALS if column is None else with_column(column)
-        write(tmp_path / f"{name}.csv", header, table, above)
+        write(tmp_path / f"{name}.csv", header, table, preamble)
         draft, content = draft_of(tmp_path)
         assert content["test"][0]["actuation"] == actuation
         assert (doubt in " ".join(doubts(draft))) if doubt else doubts(draft) == []
@@ -230,17 +230,17 @@ def test_columns_that_most_files_have_are_shared_and_others_override(tmp_path):
     write(tmp_path / "1100psi_SI.csv", "time_s,displacement_m,force_N")
     content = draft_of(tmp_path)[1]
     assert content["columns"]["force"]["name"] == "force_kip"
-    own = [set(test.get("columns", {})) for test in content["test"]]
-    assert own == [set(), set(), {"displacement", "force"}]
+    roles = [set(test.get("columns", {})) for test in content["test"]]
+    assert roles == [set(), set(), {"displacement", "force"}]
     accepted(tmp_path)
 
 
 def test_files_that_are_no_tests_are_left_out_with_the_reason(tmp_path):
-    folder, others = tmp_path / "folder", tmp_path / "others"
-    for made in (folder, others, folder / "sub"):
-        made.mkdir()
-        write(made / "900psi.csv")
-    (folder / "link.csv").symlink_to(others / "900psi.csv")
+    folder, linked = tmp_path / "folder", tmp_path / "others"
+    for directory in (folder, linked, folder / "sub"):
+        directory.mkdir()
+        write(directory / "900psi.csv")
+    (folder / "link.csv").symlink_to(linked / "900psi.csv")
     write(folder / "still_500psi.csv", table=SIGNALS * [1, 0, 1])
     bands = "time_s,displacement_in,lower_kip,median_kip,upper_kip"
     write(folder / "bands.csv", bands, np.column_stack([SIGNALS, FORCE, FORCE]))
@@ -299,7 +299,7 @@ def test_any_name_comes_out_as_valid_toml(tmp_path):
 def test_ids_differ_whatever_the_case_of_letters_and_from_a_runs_own_names(tmp_path):
     for name in ("500psi.csv", "500PSI.csv", "500psi.txt", "500 psi!.csv"):
         write(tmp_path / name)
-    write(tmp_path / "population.csv", above="# pressure: 500 psi\n")
+    write(tmp_path / "population.csv", preamble="# pressure: 500 psi\n")
     ids = {test.id.lower() for test in accepted(tmp_path).tests}
     assert len(ids) == 5
     assert "population_2" in ids

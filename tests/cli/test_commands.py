@@ -51,36 +51,36 @@ def faulty():
 @pytest.fixture
 def folder(tmp_path):
     """Campaign of one test, in a folder of its own."""
-    home = tmp_path / "campaign"
-    home.mkdir()
-    write_csv(home / "p500.csv", *signals())
-    (home / "campaign.toml").write_text(CAMPAIGN)
-    return home
+    campaign = tmp_path / "campaign"
+    campaign.mkdir()
+    write_csv(campaign / "p500.csv", *signals())
+    (campaign / "campaign.toml").write_text(CAMPAIGN)
+    return campaign
 
 
-def change(folder, old, new, name="campaign.toml"):
+def change(folder, target, replacement, name="campaign.toml"):
     text = (folder / name).read_text()
-    assert old in text
-    (folder / name).write_text(text.replace(old, new, 1))
+    assert target in text
+    (folder / name).write_text(text.replace(target, replacement, 1))
 
 
 def assert_refused(folder, *words, command="calibrate", arguments=()):
     """Refuse with one sentence that has all the words, and write nothing."""
-    before = contents(folder.parent)
+    snapshot = contents(folder.parent)
     quick = ("-o", folder.parent / "out", "--jobs", 1, "--effort", "quick")
     sentence = refusal(command, folder / "campaign.toml", *quick, *arguments)
     for word in words:
         assert word in sentence
-    assert contents(folder.parent) == before
+    assert contents(folder.parent) == snapshot
 
 
 def accepted(folder):
     """What a dry run says, which accepts the campaign and writes nothing."""
-    before = contents(folder.parent)
+    snapshot = contents(folder.parent)
     outcome = here("calibrate", folder / "campaign.toml", "--dry-run")
     assert outcome.exit_code == 0, outcome.output
     assert "nothing was written" in outcome.stdout
-    assert contents(folder.parent) == before
+    assert contents(folder.parent) == snapshot
     return outcome.stdout
 
 
@@ -135,32 +135,32 @@ CAMPAIGNS = [
 
 
 def test_a_fault_in_the_campaign_is_named(folder):
-    for old, new, words in CAMPAIGNS:
+    for target, replacement, words in CAMPAIGNS:
         (folder / "campaign.toml").write_text(CAMPAIGN)
-        change(folder, old, new)
+        change(folder, target, replacement)
         assert_refused(folder, *words)
 
 
-def own_priors(folder, old, new):
+def own_priors(folder, target, replacement):
     (folder / "own.toml").write_text(PRIORS.read_text())
-    change(folder, old, new, "own.toml")
+    change(folder, target, replacement, "own.toml")
     (folder / "campaign.toml").write_text(CAMPAIGN.replace('"mfd"', '"own.toml"'))
 
 
 def test_a_fault_in_the_priors_is_named(folder):
-    for old, new, words in (
+    for target, replacement, words in (
         ('"80 kip/in"', '"80 kip"', ("sigma0", "median", "stiffness")),
         ('parameters = ["sigma0"]', "parameters = []", ("[scatter]", "sigma0")),
         ('"1.5 kip"', '"1e30 kip"', ("'p500'", "no mass at any start")),
     ):
-        own_priors(folder, old, new)
+        own_priors(folder, target, replacement)
         assert_refused(folder, "own.toml", *words)
 
 
 def test_a_campaign_file_that_is_not_there_is_named_with_one_like_it(folder, tmp_path):
-    out = ("-o", tmp_path / "out")
-    assert "'campaign.toml'?" in refusal("calibrate", folder / "campagn.toml", *out)
-    assert str(folder / "campaign.toml") in refusal("calibrate", folder, *out)
+    output = ("-o", tmp_path / "out")
+    assert "'campaign.toml'?" in refusal("calibrate", folder / "campagn.toml", *output)
+    assert str(folder / "campaign.toml") in refusal("calibrate", folder, *output)
     (folder / "campaign.toml").unlink()
     assert_refused(folder, "campaign.toml", "No such file")
 
@@ -172,28 +172,28 @@ def test_a_campaign_file_that_is_not_there_is_named_with_one_like_it(folder, tmp
 def test_a_demo_does_not_replace_what_is_not_its_own(tmp_path, name):
     """In a folder as a demo leaves it that is interrupted in its first moments."""
     (tmp_path / "campaign").mkdir()
-    for own in ("p0_f0.05.csv", ".p500_f0.05.csv.ab12cd.part", "campaign.toml"):
-        (tmp_path / "campaign" / own).write_text("time_s")
+    for file_name in ("p0_f0.05.csv", ".p500_f0.05.csv.ab12cd.part", "campaign.toml"):
+        (tmp_path / "campaign" / file_name).write_text("time_s")
     (tmp_path / ".owner").write_text("")
     (tmp_path / name).write_text("mine")
-    before = contents(tmp_path / "campaign")
+    snapshot = contents(tmp_path / "campaign")
     assert "is not a run folder" in refusal("demo", tmp_path, "--quick", "--force")
     assert (tmp_path / name).read_text() == "mine"
-    assert contents(tmp_path / "campaign") == before
+    assert contents(tmp_path / "campaign") == snapshot
 
 
 def test_a_folder_without_a_finished_run_is_refused(tmp_path):
-    out = tmp_path / "out"
-    asked = ("--sine", "1 in, 1 Hz, 2 cycles", "--actuation", "1 ksi", "-o", tmp_path / "b.csv")
-    assert str(out) in refusal("report", out)
-    assert not out.exists()
+    run_folder = tmp_path / "out"
+    options = ("--sine", "1 in, 1 Hz, 2 cycles", "--actuation", "1 ksi", "-o", tmp_path / "b.csv")
+    assert str(run_folder) in refusal("report", run_folder)
+    assert not run_folder.exists()
     assert len(refusal("check", "9" * 5000)) < 500
-    out.mkdir()
-    for command, content in ((("check",), "{"), (("predict", *asked), '{"status": "running"}')):
-        (out / "manifest.json").write_text(content)
-        before = contents(tmp_path)
-        assert str(out) in refusal(command[0], out, *command[1:])
-        assert contents(tmp_path) == before
+    run_folder.mkdir()
+    for command, content in ((("check",), "{"), (("predict", *options), '{"status": "running"}')):
+        (run_folder / "manifest.json").write_text(content)
+        snapshot = contents(tmp_path)
+        assert str(run_folder) in refusal(command[0], run_folder, *command[1:])
+        assert contents(tmp_path) == snapshot
 
 
 # --- a first campaign
@@ -272,14 +272,14 @@ def test_prior_check_draws_what_the_priors_allow_and_refuses_what_it_cannot(fold
 def test_what_cannot_be_left_out_is_refused(folder):
     monday = '\nsession = "Monday"'
     again = '[[test]]\nid = "again"\nfile = "p500.csv"\nactuation = "700 psi"'
-    for by, text, words in (
+    for criterion, text, words in (
         ("month", CAMPAIGN, ("--by", "test, level, session", "'month'")),
         ("test", CAMPAIGN, ("campaign.toml", "two tests")),
         ("session", CAMPAIGN + again, ("no calibrated test", "session =")),
         ("session", f"{CAMPAIGN.rstrip()}{monday}\n{again}{monday}", ("two sessions",)),
     ):
         (folder / "campaign.toml").write_text(text)
-        assert_refused(folder, *words, command="crossvalidate", arguments=("--by", by))
+        assert_refused(folder, *words, command="crossvalidate", arguments=("--by", criterion))
 
 
 def test_what_cannot_be_compared_is_refused(folder):

@@ -51,8 +51,8 @@ def test_a_help_says_what_is_written_with_examples_that_are_valid_and_what_is_ne
             assert "mfd-bayes" not in example[1:]  # two are not joined
             _, name, *words = shlex.split(example.partition(" && ")[0])
             COMMANDS[name].make_context(name, words)
-        for part in (COMMANDS[command], *COMMANDS[command].params):
-            assert not re.search(r"\[[a-z\[/]", getattr(part, "help", None) or "")  # as markup
+        for item in (COMMANDS[command], *COMMANDS[command].params):
+            assert not re.search(r"\[[a-z\[/]", getattr(item, "help", None) or "")  # as markup
 
 
 def test_it_runs_as_a_module_too():
@@ -89,7 +89,7 @@ def test_a_typing_error_is_named_in_the_last_line_with_a_suggestion():
     ]:
         outcome = here(*words.split())
         assert (outcome.exit_code, outcome.stdout) == (2, "")
-        *usage, last = [line for line in outcome.stderr.splitlines() if line]
+        *usage, message = [line for line in outcome.stderr.splitlines() if line]
         assert not usage or usage[-1].startswith("Try 'mfd-bayes ")
-        assert last.startswith("Error: ")
-        assert re.search(error, last)  # typer's words differ from version to version
+        assert message.startswith("Error: ")
+        assert re.search(error, message)  # typer's words differ from version to version

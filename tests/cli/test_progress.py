@@ -35,8 +35,8 @@ def test_without_a_terminal_steps_are_lines_and_quiet_prints_what_must_be_known(
         *alarms,
         "c: done, 1200 steps, R-hat 1.012, ESS 432, 120 steps/s",
     ]
-    out, err = capsys.readouterr()
-    assert (out.splitlines(), err.splitlines()) == (([], alarms) if quiet else (lines, []))
+    stdout, stderr = capsys.readouterr()
+    assert (stdout.splitlines(), stderr.splitlines()) == (([], alarms) if quiet else (lines, []))
 
 
 def test_after_a_silence_a_line_says_what_is_at_work_and_what_is_missing(capsys, monkeypatch):
@@ -90,11 +90,11 @@ def on_terminal(folder, *options, pause=0.05, term="xterm-256color"):
     driver.write_text(DRIVER.format(pause=pause))
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-    plain = os.environ | {"TERM": term, "PYTHONPATH": os.pathsep.join(sys.path)}
-    plain = {k: v for k, v in plain.items() if k not in ("COLUMNS", "LINES")}
+    environment = os.environ | {"TERM": term, "PYTHONPATH": os.pathsep.join(sys.path)}
+    environment = {k: v for k, v in environment.items() if k not in ("COLUMNS", "LINES")}
     command = [sys.executable, str(driver), *options]
     streams = dict.fromkeys(("stdin", "stdout", "stderr"), theirs)
-    with subprocess.Popen(command, **streams, env=plain, start_new_session=True) as process:
+    with subprocess.Popen(command, **streams, env=environment, start_new_session=True) as process:
         os.close(theirs)
         written = b""
         try:
@@ -111,8 +111,8 @@ def test_a_terminal_shows_bars_and_keeps_a_line_of_each_test(tmp_path):
     text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", written)  # without colours and movements
     lines = [line.rstrip() for line in re.split(r"[\r\n]+", text) if line.strip()]
     for k in range(3):
-        done = f"p{500 + k}[red]_f0.25: done, 300 steps, R-hat 1.012, ESS 432, 100 steps/s"
-        assert lines.count(done) == 1
+        summary = f"p{500 + k}[red]_f0.25: done, 300 steps, R-hat 1.012, ESS 432, 100 steps/s"
+        assert lines.count(summary) == 1
     assert any("sampling, R-hat 1.050, ESS 50, needs" in line for line in lines)
     assert any(re.match("all .* 3 of 3 done", line) for line in lines)
     assert lines[-1] == "over"

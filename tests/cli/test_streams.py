@@ -13,18 +13,18 @@ from mfd_bayes.cli.streams import mistakes
 
 def run(script, *words):
     """Exit code and messages of the command, which is "$@" in a script of bash."""
-    plain = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
-    plain["PYTHONPATH"] = os.pathsep.join(sys.path)
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    environment["PYTHONPATH"] = os.pathsep.join(sys.path)
     command = ["bash", "-c", script, "bash", sys.executable, "-m", "mfd_bayes", *map(str, words)]
     how = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True, "timeout": 120}
-    done = subprocess.run(command, env=plain, check=False, **how)
-    return done.returncode, done.stderr
+    process = subprocess.run(command, env=environment, check=False, **how)
+    return process.returncode, process.stderr
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
 def test_an_output_that_takes_nothing_is_said_in_one_sentence():
-    code, said = run('"$@" > /dev/full', "--help")
-    (sentence,) = said.splitlines()
+    code, stderr = run('"$@" > /dev/full', "--help")
+    (sentence,) = stderr.splitlines()
     assert sentence.startswith("mfd-bayes: cannot write the output: ")
     assert code == 2
 
@@ -36,8 +36,8 @@ def test_an_output_whose_reader_has_seen_enough_is_no_error():
 def test_a_file_does_not_get_what_is_printed_where_the_output_is_closed(small_run, tmp_path):
     bands = tmp_path / "b.csv"
     words = ("predict", small_run, "--sine", "1 in, 1 Hz, 2 cycles", "--actuation", "500 psi")
-    code, said = run('"$@" >&-', *words, "--extrapolate", "--no-figures", "-o", bands)
-    assert (code, "warning: the run is not usable" in said) == (0, True)
+    code, stderr = run('"$@" >&-', *words, "--extrapolate", "--no-figures", "-o", bands)
+    assert (code, "warning: the run is not usable" in stderr) == (0, True)
     assert bands.read_text().startswith("# equal-tailed")
 
 

@@ -67,15 +67,15 @@ def test_a_slip_force_that_is_not_the_measured_one_fails():
 
 
 def test_what_another_noise_moves_is_named_first_by_its_weight_in_design():
-    drawn = POSTERIOR.sample_prior(400, 0)
-    own = quantiles_of(POSTERIOR, drawn)
-    quantities = {name: list(bounds) for name, bounds in own.items()}
+    draws = POSTERIOR.sample_prior(400, 0)
+    quantiles = quantiles_of(POSTERIOR, draws)
+    quantities = {name: list(bounds) for name, bounds in quantiles.items()}
     moved = {name: [900.0, 950.0, 999.0] for name in ("sigma0", "k3", "Fc_bwd")}
     fit = {"noise": "staged", "quantities": quantities | moved, "error": ""}
-    rows = noise_rows("80lb", POSTERIOR, drawn, {"other_noises": [fit]})
+    rows = noise_rows("80lb", POSTERIOR, draws, {"other_noises": [fit]})
     decided = [row["name"] for row in rows if row["noise_sensitive"]]
     assert decided == ["Fc_bwd", "k3", "sigma0"]
-    assert noise_rows("80lb", POSTERIOR, drawn, {}) == ()
+    assert noise_rows("80lb", POSTERIOR, draws, {}) == ()
 
 
 # --- tests that stand apart from the others
@@ -88,15 +88,17 @@ def test_a_gap_half_as_large_again_stands_apart_and_no_other_does(count):
     deviations[2, 2] += np.log(1.5)
     if count == 5:  # with four others, only what is far beyond all doubt
         deviations[2, 2] += np.log(2.0)
-    ((test, quantity, away),) = standing_out(deviations, np.zeros_like(deviations))
+    ((test, quantity, distance),) = standing_out(deviations, np.zeros_like(deviations))
     assert (test, quantity) == (2, 2)
-    assert away > 8.0
+    assert distance > 8.0
 
 
 def test_tests_stand_apart_by_chance_as_rarely_as_stated():
     rng = np.random.default_rng(2)
     campaigns = rng.normal(size=(2000, 8, 4))
-    share = np.mean([any(True for _ in standing_out(one, 0.1 * np.abs(one))) for one in campaigns])
+    share = np.mean(
+        [any(True for _ in standing_out(values, 0.1 * np.abs(values))) for values in campaigns]
+    )
     assert share < 0.02
 
 
@@ -137,17 +139,17 @@ def test_several_processes_make_the_views_that_one_makes(monkeypatch):
     monkeypatch.setattr(local, "FEWEST", 2)
     run, views = open_run(DATA), []
     for jobs in (1, 2):
-        made, lost = views_of_tests(run, jobs)
+        test_views, lost = views_of_tests(run, jobs)
         assert lost == {}
-        assert [view.id for view in made] == list(run.manifest.tests)
-        views.append(made)
+        assert [view.id for view in test_views] == list(run.manifest.tests)
+        views.append(test_views)
     assert not multiprocessing.active_children()
-    for one, other in zip(*views, strict=True):
-        np.testing.assert_array_equal(one.observation.median, other.observation.median)
-        for a, b in zip(one.marginals, other.marginals, strict=True):
+    for view_a, view_b in zip(*views, strict=True):
+        np.testing.assert_array_equal(view_a.observation.median, view_b.observation.median)
+        for a, b in zip(view_a.marginals, view_b.marginals, strict=True):
             np.testing.assert_array_equal(a.prior, b.prior)
             np.testing.assert_array_equal(a.posterior, b.posterior)
-        assert repr((one.rows, one.checks)) == repr((other.rows, other.checks))
+        assert repr((view_a.rows, view_a.checks)) == repr((view_b.rows, view_b.checks))
 
 
 @pytest.mark.parametrize(
@@ -189,8 +191,8 @@ def test_a_device_value_that_most_tests_do_not_have_is_named(moved, named):
     population = make_population([TestConditions(1.0)] * 6, scatter=0.05, shape=(4, 25))
     tests = {}
     for number in range(6):
-        by = {"Fc_bwd": 1.6, "d2": 2.0} if number < moved else {}
-        middles = {name: value * by.get(name, 1.0) for name, value in THREE_STAGE.items()}
+        factors = {"Fc_bwd": 1.6, "d2": 2.0} if number < moved else {}
+        middles = {name: value * factors.get(name, 1.0) for name, value in THREE_STAGE.items()}
         intervals = {name: (m, 0.95 * m, 1.05 * m) for name, m in middles.items()}
         tests[f"t{number}"] = SimpleNamespace(intervals=intervals)
     findings = uncommon_device_values(
@@ -202,49 +204,49 @@ def test_a_device_value_that_most_tests_do_not_have_is_named(moved, named):
 # --- tests that do not begin where the one before ended, by posteriors that are made up
 
 
-def run_of(made, start, first=1.0, after="a"):
+def run_of(folder, start, direction=1.0, predecessor="a"):
     """The run whose test a ends in slip forward, and b begins at a place with some spread."""
-    run = open_run(made)
+    run = open_run(folder)
     test, time = run.tests["a"], np.arange(201) / 50
     values = test.stored.values()
     spread = 0.02 * np.random.default_rng(0).normal(size=len(values["start"]))
     ended = Trace.from_arrays(time, 5.0 - 5.0 * np.cos(0.25 * np.pi * time))  # to 10 in
-    begun = Trace.from_arrays(time, 10.0 + first * np.sin(np.pi * time))
+    motion = Trace.from_arrays(time, 10.0 + direction * np.sin(np.pi * time))
     tests = {}
     for name, trace, w0 in (
         ("a", ended, values["start"]),
-        ("b", begun, np.clip(start + spread, 0.0, 1.0)),
+        ("b", motion, np.clip(start + spread, 0.0, 1.0)),
     ):
-        drawn = values | {"start": w0}
+        draws = values | {"start": w0}
         posterior = SimpleNamespace(
             model=test.posterior.model, names=test.posterior.names, noise=None, trace=trace
         )
-        stored = SimpleNamespace(values=lambda drawn=drawn: drawn)
+        stored = SimpleNamespace(values=lambda draws=draws: draws)
         tests[name] = SimpleNamespace(id=name, posterior=posterior, stored=stored, trace=trace)
-    settings = run.manifest.settings.with_test("b", after=after)
+    settings = run.manifest.settings.with_test("b", after=predecessor)
     return replace(run, tests=tests, manifest=run.manifest.changed(settings=settings))
 
 
 def test_a_start_far_from_the_end_of_the_test_before_is_a_question(made_run):
-    for start, first in ((0.2, 1.0), (0.8, -1.0)):
-        (found,) = contradicted_order(run_of(made_run, start, first))
-        assert (found.subject, found.name) == ("b", "start in the gap")
-    for start, first in ((1.0, 1.0), (0.0, -1.0), (0.88, 1.0)):
-        assert contradicted_order(run_of(made_run, start, first)) == []
-    assert contradicted_order(run_of(made_run, 0.2, after="")) == []
+    for start, direction in ((0.2, 1.0), (0.8, -1.0)):
+        (finding,) = contradicted_order(run_of(made_run, start, direction))
+        assert (finding.subject, finding.name) == ("b", "start in the gap")
+    for start, direction in ((1.0, 1.0), (0.0, -1.0), (0.88, 1.0)):
+        assert contradicted_order(run_of(made_run, start, direction)) == []
+    assert contradicted_order(run_of(made_run, 0.2, predecessor="")) == []
 
 
 def test_intervals_alone_and_together_that_do_not_overlap_disagree(monkeypatch):
     run, values = open_run(DATA), StoredTest.values
 
     def higher(stored):  # jointly 0.829 [0.789, 0.868] kip in the first test
-        return (drawn := values(stored)) | {"Fc_bwd": 0.9 + 0.01 * np.tanh(drawn["Fc_bwd"])}
+        return (draws := values(stored)) | {"Fc_bwd": 0.9 + 0.01 * np.tanh(draws["Fc_bwd"])}
 
     monkeypatch.setattr(StoredTest, "values", higher)
     view = assess(run)
     assert [row["name"] for row in view.tests[0].rows if row["joint_conflict"]] == ["Fc_bwd"]
     table, _ = paper_sheets(view, Symbols(run.model))
-    middle, ends, other = next(r.cells[0].lines for r in table.rows if r.name == "Fc_bwd")
+    middle, ends, separate = next(r.cells[0].lines for r in table.rows if r.name == "Fc_bwd")
     assert [middle.text(), ends.text()] == ["0.829", "[0.789, 0.868]"]
-    assert other.marked
-    assert other.text().startswith("alone: 0.90")
+    assert separate.marked
+    assert separate.text().startswith("alone: 0.90")

@@ -64,9 +64,9 @@ def compared(tests="ab", lost=(), **figures):
 
 
 def test_the_best_model_is_favoured_and_stands_first():
-    found = compared()
-    assert [row.subject for row in found.rows] == ["a"] * 3 + ["b"] * 3 + [ALL] * 3
-    best, second, third = found.rows[-3:]
+    comparison = compared()
+    assert [row.subject for row in comparison.rows] == ["a"] * 3 + ["b"] * 3 + [ALL] * 3
+    best, second, third = comparison.rows[-3:]
     assert [best.model, second.model, third.model] == ["three_stage", "bouc_wen", "lugre"]
     assert (best.difference, best.difference_se) == (0.0, 0.0)
     assert second.difference == pytest.approx(-6.0 * 2 * CYCLES, abs=15.0)
@@ -75,9 +75,9 @@ def test_the_best_model_is_favoured_and_stands_first():
     assert (best.cycles, best.rrse) == (2 * CYCLES, 0.5)
     assert best.p_loo == pytest.approx(2.0 * 2 * CYCLES)
     assert (best.log_evidence, best.log_evidence_se) == (20.0, pytest.approx(0.02 * np.sqrt(2)))
-    lines = comparison_csv(found.rows).splitlines()
+    lines = comparison_csv(comparison.rows).splitlines()
     assert lines[0].split(",")[:6] == ["test", "model", "cycles", "elpd", "elpd_se", "p_loo"]
-    assert len(lines) == 1 + len(found.rows)
+    assert len(lines) == 1 + len(comparison.rows)
 
 
 GOOD, ROUGH = "The diagnostics of this comparison are good.", "(a rough estimate of the error"
@@ -128,33 +128,33 @@ def test_the_command_compares_and_samples_nothing_twice(tmp_path):
     noisy = force + 0.05 * np.random.default_rng(2).normal(size=time.size)
     write_csv(tmp_path / "slow.csv", time, trace.displacement, noisy)
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
-    out = tmp_path / "out"
-    words = ["compare", tmp_path / "campaign.toml", "-o", out, "--effort", "quick"]
+    folder = tmp_path / "out"
+    words = ["compare", tmp_path / "campaign.toml", "-o", folder, "--effort", "quick"]
     words += ["--models", "lugre, bouc_wen", "--jobs", "2"]
     printed = said(*words)
     assert "The records favour bouc_wen over lugre" in printed
-    found = pd.read_csv(out / "comparison.csv").set_index(["test", "model"])
-    assert list(found.index) == [(s, m) for s in ("slow", ALL) for m in ("bouc_wen", "lugre")]
-    assert found.elpd_difference["slow", "lugre"] < -20
-    assert found.rrse_in_sample["slow", "bouc_wen"] < 0.05
-    assert found.log_evidence["slow", "lugre"] < found.log_evidence["slow", "bouc_wen"] - 20
-    stored = mb.open_run(out / "lugre").tests["slow"].log_evidence()
-    assert stored.value == pytest.approx(found.log_evidence["slow", "lugre"])
-    laws = json.loads((out / "bouc_wen" / "manifest.json").read_text())["settings"]["laws"]
+    scores = pd.read_csv(folder / "comparison.csv").set_index(["test", "model"])
+    assert list(scores.index) == [(s, m) for s in ("slow", ALL) for m in ("bouc_wen", "lugre")]
+    assert scores.elpd_difference["slow", "lugre"] < -20
+    assert scores.rrse_in_sample["slow", "bouc_wen"] < 0.05
+    assert scores.log_evidence["slow", "lugre"] < scores.log_evidence["slow", "bouc_wen"] - 20
+    stored = mb.open_run(folder / "lugre").tests["slow"].log_evidence()
+    assert stored.value == pytest.approx(scores.log_evidence["slow", "lugre"])
+    laws = json.loads((folder / "bouc_wen" / "manifest.json").read_text())["settings"]["laws"]
     assert (laws["Fy_fwd"], laws["Fy_bwd"]) == ("power", "proportional")  # as F_c's
-    assert (out / "lugre" / "report.html").is_file()
-    before = {p: p.stat().st_mtime_ns for p in out.glob("*/tests/slow/posterior.nc")}
-    table = (out / "comparison.csv").read_bytes()
+    assert (folder / "lugre" / "report.html").is_file()
+    mtimes = {p: p.stat().st_mtime_ns for p in folder.glob("*/tests/slow/posterior.nc")}
+    table = (folder / "comparison.csv").read_bytes()
     said(*words, "--resume")
-    assert {path: path.stat().st_mtime_ns for path in before} == before
-    assert (out / "comparison.csv").read_bytes() == table
+    assert {path: path.stat().st_mtime_ns for path in mtimes} == mtimes
+    assert (folder / "comparison.csv").read_bytes() == table
 
 
 def test_models_and_noises_make_candidates_or_are_refused():
-    found = candidates(["lugre", "three_stage"], ["staged"])
-    assert [each.name for each in found] == ["three_stage_staged", "lugre_staged"]
-    assert [each.name for each in candidates([], ["staged", "ou"])] == ["ou", "staged"]
-    assert {each.noise for each in candidates(["lugre", "three_stage"], [])} == {None}
+    choices = candidates(["lugre", "three_stage"], ["staged"])
+    assert [candidate.name for candidate in choices] == ["three_stage_staged", "lugre_staged"]
+    assert [candidate.name for candidate in candidates([], ["staged", "ou"])] == ["ou", "staged"]
+    assert {candidate.noise for candidate in candidates(["lugre", "three_stage"], [])} == {None}
     for models, noises, offender in (
         ([], ["ou", "white"], "--noises must name .* got 'ou', 'white'"),
         ([], ["ou", "ou"], "--noises .* each once"),
@@ -186,37 +186,37 @@ def test_psis_weights_are_normalised_and_k_is_the_tail_of_the_weights():
 def normal_mean(blocks, n=4000, seed=0):
     """Draws of a mean with prior N(0, 10²), the blocks' log densities, and their exact elpd."""
     rng = np.random.default_rng(seed)
-    every = np.concatenate(blocks)
+    pooled = np.concatenate(blocks)
 
     def posterior(data):
         precision = 0.01 + data.size
         return data.sum() / precision, precision**-0.5
 
-    mean, sd = posterior(every)
+    mean, sd = posterior(pooled)
     draws = rng.normal(mean, sd, n)
-    given = np.stack([stats.norm.logpdf(b[:, None], draws).sum(axis=0) for b in blocks], axis=1)
+    terms = np.stack([stats.norm.logpdf(b[:, None], draws).sum(axis=0) for b in blocks], axis=1)
     exact = []
     for i, block in enumerate(blocks):
         mean, sd = posterior(np.concatenate([b for j, b in enumerate(blocks) if j != i]))
         cov = np.eye(block.size) + sd**2
         exact.append(stats.multivariate_normal(np.full(block.size, mean), cov).logpdf(block))
-    return draws, given, np.array(exact)
+    return draws, terms, np.array(exact)
 
 
 def test_elpd_is_exact_where_every_block_tells_little():
     rng = np.random.default_rng(2)
-    _, given, exact = normal_mean([rng.normal(size=5) for _ in range(12)])
-    found = np.array([psis_loo(column) for column in given.T])
-    np.testing.assert_allclose(found[:, 0], exact, atol=0.02)
-    assert np.all(found[:, 1] > found[:, 0])
-    assert np.all(found[:, 2] < LARGEST_K)
+    _, log_densities, exact = normal_mean([rng.normal(size=5) for _ in range(12)])
+    estimates = np.array([psis_loo(column) for column in log_densities.T])
+    np.testing.assert_allclose(estimates[:, 0], exact, atol=0.02)
+    assert np.all(estimates[:, 1] > estimates[:, 0])
+    assert np.all(estimates[:, 2] < LARGEST_K)
 
 
 def test_a_block_that_moves_the_posterior_far_has_a_large_k():
     rng = np.random.default_rng(3)
     blocks = [rng.normal(size=5), rng.normal(size=5), rng.normal(6.0, 1.0, size=20)]
-    draws, given, exact = normal_mean(blocks)
-    elpd, _, k = psis_loo(given[:, 2])
+    draws, terms, exact = normal_mean(blocks)
+    elpd, _, k = psis_loo(terms[:, 2])
     assert k > LARGEST_K
     assert elpd > exact[2] + 3.0  # and PSIS is far too good to be true
 
@@ -226,28 +226,30 @@ def test_a_block_that_moves_the_posterior_far_has_a_large_k():
             stats.norm.logpdf(q[:, 0], 0, 10) + stats.norm.logpdf(data[:, None], q[:, 0]).sum(0)
         )
 
-    start, flat, found = draws[:, None], np.zeros(draws.size), []
+    start, flat, estimates = draws[:, None], np.zeros(draws.size), []
     for _ in range(8):  # each by itself has an error of about 0.06
-        whole, first_k = log_evidence(density(np.concatenate(blocks)), start, flat, rng)
-        rest, second_k = log_evidence(density(np.concatenate(blocks[:2])), start, -given[:, 2], rng)
+        complete, first_k = log_evidence(density(np.concatenate(blocks)), start, flat, rng)
+        reduced, second_k = log_evidence(
+            density(np.concatenate(blocks[:2])), start, -terms[:, 2], rng
+        )
         assert max(first_k, second_k) < LARGEST_K
-        found.append(whole - rest)
-    assert np.mean(found) == pytest.approx(exact[2], abs=0.05)
+        estimates.append(complete - reduced)
+    assert np.mean(estimates) == pytest.approx(exact[2], abs=0.05)
 
 
 def test_the_error_of_a_sum_is_that_of_tests_whose_cycles_resemble_each_other():
     rng = np.random.default_rng(6)
     test = np.repeat(np.arange(12), 30)
-    alone = np.zeros(test.size)
+    ungrouped = np.zeros(test.size)
     totals, errors, wrong = [], [], []
     for _ in range(400):  # a model is better or worse in a whole test at once
         figures = rng.normal(0.0, 1.0, 12)[test] + rng.normal(0.0, 1.0, test.size)
         totals.append(figures.sum())
         errors.append(standard_error(figures, test))
-        wrong.append(standard_error(figures, alone))
+        wrong.append(standard_error(figures, ungrouped))
     assert np.mean(errors) == pytest.approx(np.std(totals), rel=0.1)
     assert np.std(totals) > 3.0 * np.mean(wrong)  # the control
     figures = rng.normal(size=test.size)  # independent cycles
-    assert 1.0 <= standard_error(figures, test) / standard_error(figures, alone) < 1.5
+    assert 1.0 <= standard_error(figures, test) / standard_error(figures, ungrouped) < 1.5
     balanced = np.tile([1.0, -1.0], test.size // 2)  # whose tests agree by chance
-    assert standard_error(balanced, test) == standard_error(balanced, alone)
+    assert standard_error(balanced, test) == standard_error(balanced, ungrouped)

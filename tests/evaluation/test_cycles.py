@@ -41,8 +41,8 @@ def noise_of(name, time):
 
 def dense(decay, scale):
     """Covariance of the noise: the product of all φ between two samples, (T, T)."""
-    along = np.cumsum(np.where(np.isinf(decay), 1e3, decay))
-    return np.exp(-np.abs(along[:, None] - along)) * np.outer(scale, scale)
+    cumulative = np.cumsum(np.where(np.isinf(decay), 1e3, decay))
+    return np.exp(-np.abs(cumulative[:, None] - cumulative)) * np.outer(scale, scale)
 
 
 @pytest.mark.parametrize("times", TIMES)
@@ -50,22 +50,22 @@ def dense(decay, scale):
 def test_density_of_a_left_out_block_is_that_of_a_dense_normal(name, times):
     time = TIMES[times]
     residual, travel, (decay, scale) = noise_of(name, time)
-    given, whole = conditional_density(residual, decay, scale, STARTS)
-    assert given.shape == (2, 4)
+    conditional, joint = conditional_density(residual, decay, scale, STARTS)
+    assert conditional.shape == (2, 4)
     for row in range(2):
         covariance = dense(decay[row], scale[row])
         total = stats.multivariate_normal(cov=covariance).logpdf(residual[row])
-        assert whole[row] == pytest.approx(total, rel=1e-9)
+        assert joint[row] == pytest.approx(total, rel=1e-9)
         for block, (begin, end) in enumerate(zip(STARTS, [*STARTS[1:], time.size], strict=True)):
-            rest = np.r_[0:begin, end : time.size]
-            others = stats.multivariate_normal(cov=covariance[np.ix_(rest, rest)])
-            expected = total - others.logpdf(residual[row, rest])
-            assert given[row, block] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+            indices = np.r_[0:begin, end : time.size]
+            marginal = stats.multivariate_normal(cov=covariance[np.ix_(indices, indices)])
+            expected = total - marginal.logpdf(residual[row, indices])
+            assert conditional[row, block] == pytest.approx(expected, rel=1e-9, abs=1e-9)
     # the noise model's own density is the same, and the gap matters where the noise is correlated
-    own = NOISES[name].log_density(residual, time, VALUES, travel)
-    np.testing.assert_allclose(whole, own, rtol=1e-9)
-    alone = np.add.reduceat(stats.norm.logpdf(residual, scale=scale), STARTS, axis=1)
-    assert (np.abs(given - alone).max() > 0.1) == (name != "iid")
+    log_density = NOISES[name].log_density(residual, time, VALUES, travel)
+    np.testing.assert_allclose(joint, log_density, rtol=1e-9)
+    independent = np.add.reduceat(stats.norm.logpdf(residual, scale=scale), STARTS, axis=1)
+    assert (np.abs(conditional - independent).max() > 0.1) == (name != "iid")
 
 
 # --- cycles
@@ -98,6 +98,6 @@ def test_cycles_have_the_posteriors_own_likelihood(model, noise, initial):
     posterior = Posterior(harmonic(), FILE, noise, model, initial=initial)
     q = posterior.coordinates(posterior.sample_prior(7, 0))
     cycles = find_cycles(posterior.trace, posterior.first)
-    given, whole = cycle_log_likelihood(posterior, posterior.values(q), cycles)
-    assert given.shape == (7, len(cycles) - 1)
-    np.testing.assert_allclose(whole, posterior.log_likelihood(q), rtol=1e-8)
+    conditional, joint = cycle_log_likelihood(posterior, posterior.values(q), cycles)
+    assert conditional.shape == (7, len(cycles) - 1)
+    np.testing.assert_allclose(joint, posterior.log_likelihood(q), rtol=1e-8)

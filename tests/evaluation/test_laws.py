@@ -52,8 +52,8 @@ def test_each_law_has_its_own_constants():
         run = {"actuation_unit": "ksi", "system": US, "model": ThreeStage()}
         return mixed_rows(SimpleNamespace(population=population, **run), "2 ksi")
 
-    found = {(row["note"].split(" law")[0], row["name"]): row for row in rows_of(Mixed())}
-    medians = {key: row["median"] for key, row in found.items()}
+    constants = {(row["note"].split(" law")[0], row["name"]): row for row in rows_of(Mixed())}
+    medians = {key: row["median"] for key, row in constants.items()}
     assert medians == pytest.approx(
         {
             ("proportional", "K_c_fwd"): 1.5,
@@ -64,11 +64,11 @@ def test_each_law_has_its_own_constants():
             ("constant", "Fc_fwd"): 6.0,
         }
     )
-    assert found["affine", "Fc_fwd_0"]["note"] == "affine law, weight 0.25"
-    assert found["power", "Fc_fwd"]["note"] == "power law, weight 0.25; at 2 ksi"
-    units = {name: row["unit"] for (_, name), row in found.items()}
+    assert constants["affine", "Fc_fwd_0"]["note"] == "affine law, weight 0.25"
+    assert constants["power", "Fc_fwd"]["note"] == "power law, weight 0.25; at 2 ksi"
+    units = {name: row["unit"] for (_, name), row in constants.items()}
     assert units == {"K_c_fwd": "in^2", "Fc_fwd_0": "kip", "Fc_fwd": "kip", "exponent_Fc_fwd": "1"}
-    assert all(np.isnan(row["r_hat"]) for row in found.values())  # a part of the chains
+    assert all(np.isnan(row["r_hat"]) for row in constants.values())  # a part of the chains
     assert rows_of(Mixed(draws=FEWEST - 1)) == []
 
 
@@ -85,36 +85,36 @@ def choice(scores, law):
 
 
 def test_the_best_law_stands_first_and_others_are_measured_by_it():
-    found = scores(proportional=[1.0, 2.0, 0.0], power=[2.0, 3.0, 1.5])
-    (best, other), sentence = choice(found, "proportional")
+    law_scores = scores(proportional=[1.0, 2.0, 0.0], power=[2.0, 3.0, 1.5])
+    (best, rival), sentence = choice(law_scores, "proportional")
     assert (best["law"], best["difference"], best["difference_se"]) == ("power", 0.0, 0.0)
-    assert other["difference"] == pytest.approx(-3.5)
-    assert other["difference_se"] == pytest.approx(0.5)  # √3 times the sd of −1, −1, −1.5
-    assert (best["chosen"], other["chosen"]) == (False, True)
+    assert rival["difference"] == pytest.approx(-3.5)
+    assert rival["difference_se"] == pytest.approx(0.5)  # √3 times the sd of −1, −1, −1.5
+    assert (best["chosen"], rival["chosen"]) == (False, True)
     assert "the campaign's own, proportional, is worse by 3.5 ± 0.5" in sentence
-    rows, sentence = choice(found, "compare")
+    rows, sentence = choice(law_scores, "compare")
     assert sentence.endswith("mix them (compared: power 0.5, proportional 0.5).")
     assert not any(row["chosen"] for row in rows)
     # a difference within its standard error
-    near = scores(proportional=[1.0, 2.0, 0.0], power=[2.0, 1.0, 0.5], constant=[-9.0, -8.0, -9.0])
-    _, sentence = choice(near, "proportional")
+    close = scores(proportional=[1.0, 2.0, 0.0], power=[2.0, 1.0, 0.5], constant=[-9.0, -8.0, -9.0])
+    _, sentence = choice(close, "proportional")
     assert sentence.startswith("the power law predicts levels that were left out best, but")
     assert "the 3 levels cannot separate it from proportional:" in sentence
 
 
 def test_a_score_that_cannot_be_trusted_is_named_and_never_best():
-    found = [*scores(proportional=[1.0, 2.0, 0.0]), *scores(power=[9.0, 9.0, 9.0])]
-    found[1] = replace(found[1], pareto_k=0.93, weight=0.0)
-    rows, sentence = choice(found, "compare")
+    law_scores = [*scores(proportional=[1.0, 2.0, 0.0]), *scores(power=[9.0, 9.0, 9.0])]
+    law_scores[1] = replace(law_scores[1], pareto_k=0.93, weight=0.0)
+    rows, sentence = choice(law_scores, "compare")
     assert [row["law"] for row in rows] == ["proportional", "power"]
     assert sentence.startswith("the proportional law predicts")
     assert "the score of power (Pareto k 0.93) cannot be trusted" in sentence
-    _, control = choice([replace(s, pareto_k=0.6) for s in found], "compare")
+    _, control = choice([replace(s, pareto_k=0.6) for s in law_scores], "compare")
     assert "trusted" not in control  # the control
 
 
 @pytest.mark.parametrize(
-    ("chosen", "pareto_k", "label"),
+    ("law", "pareto_k", "label"),
     [
         ("affine", 0.84, "affine, the campaign's; constant predicts best"),
         ("affine", 0.2, "affine, the campaign's; constant predicts best"),
@@ -122,15 +122,15 @@ def test_a_score_that_cannot_be_trusted_is_named_and_never_best():
         ("power", 0.2, "power"),  # within the standard error
     ],
 )
-def test_the_figure_says_what_the_sentence_says(chosen, pareto_k, label):
+def test_the_figure_says_what_the_sentence_says(law, pareto_k, label):
     terms = {"constant": [2.0, 3.0, 1.5], "power": [2.1, 2.8, 1.5], "affine": [1.0, 2.0, 0.0]}
-    found = scores(**terms)
-    found[2] = replace(found[2], pareto_k=pareto_k)
-    rows = law_score_rows(found, {"Fc_fwd": chosen})
-    assert law_label(chosen, {chosen: 1.0}, rows) == label
+    law_scores = scores(**terms)
+    law_scores[2] = replace(law_scores[2], pareto_k=pareto_k)
+    rows = law_score_rows(law_scores, {"Fc_fwd": law})
+    assert law_label(law, {law: 1.0}, rows) == label
 
 
 def test_the_figure_ends_where_predictions_are_refused(made_run):
     (view, *_) = law_views(open_run(made_run))
-    lowest = min(at for _, at, *_ in view.tested)
+    lowest = min(level for _, level, *_ in view.tested)
     assert view.actuation[0] == pytest.approx(lowest / FAR)

@@ -22,8 +22,8 @@ DRAWN = {
 }
 
 
-def bounds(probability=0.9, drawn=DRAWN):
-    return {(r["name"], r["basis"]): r for r in bounds_of(drawn, probability)}
+def bounds(probability=0.9, draws=DRAWN):
+    return {(r["name"], r["basis"]): r for r in bounds_of(draws, probability)}
 
 
 def test_bounds_are_quantiles_and_factors_relative_to_the_mean_property():
@@ -45,14 +45,14 @@ def test_a_property_is_missed_that_is_both_extreme_and_beyond_its_tolerance(name
 def test_what_a_basis_or_a_motion_does_not_have_is_left_out_or_not_known():
     assert ("slip_fwd", "observation") not in bounds()
     assert ("energy_per_cycle", "observation") in bounds()
-    none = {basis: {"energy_per_cycle": np.full(9, np.nan)} for basis in ("mean", "new_test")}
-    assert bounds_of(none, 0.9) == ()
+    empty = {basis: {"energy_per_cycle": np.full(9, np.nan)} for basis in ("mean", "new_test")}
+    assert bounds_of(empty, 0.9) == ()
     row = bounds()["slip_fwd", ANOTHER]
     assert np.isnan(row["upper"])
     assert row["note"] == NOT_KNOWN
-    known = bounds(drawn={**DRAWN, ANOTHER: DRAWN["new_test"]})["slip_fwd", ANOTHER]
-    assert known["upper"] > known["nominal"]
-    assert known["note"] == ""
+    bound = bounds(draws={**DRAWN, ANOTHER: DRAWN["new_test"]})["slip_fwd", ANOTHER]
+    assert bound["upper"] > bound["nominal"]
+    assert bound["note"] == ""
 
 
 def test_bounds_from_two_levels_come_with_a_warning():
@@ -76,21 +76,21 @@ def test_measured_cycles_of_harmonic_tests_stand_beside_their_bounds(made_run):
     area = np.sum(0.5 * (FORCE[1:41] + FORCE[:40]) * np.diff(MOTION[:41])) / 2  # two periods
     expected = {"slip_force": 2.0, "peak_force": 2.0, "effective_stiffness": 2.0, "energy": area}
     expected["effective_damping"] = area / (2 * np.pi * 2.0)
-    for condition, part in rows.groupby("condition"):
+    for condition, group in rows.groupby("condition"):
         for quantity, value in expected.items():
-            own = part[part["quantity"] == quantity]
+            subset = group[group["quantity"] == quantity]
             for column in ("measured_low", "measured", "measured_high"):
-                np.testing.assert_allclose(own[column], value, rtol=0.02, err_msg=quantity)
-            outside = (own["measured"] < own["lower"]) | (own["measured"] > own["upper"])
-            assert (own["n_outside"] == outside).all(), (condition, quantity)
-            assert (own["n_tests"] == 1).all()
-        energy = part[part["quantity"] == "energy"]
+                np.testing.assert_allclose(subset[column], value, rtol=0.02, err_msg=quantity)
+            misses = (subset["measured"] < subset["lower"]) | (subset["measured"] > subset["upper"])
+            assert (subset["n_outside"] == misses).all(), (condition, quantity)
+            assert (subset["n_tests"] == 1).all()
+        energy = group[group["quantity"] == "energy"]
         assert energy["cycle"].tolist() == [0, 1, 2]
         assert energy["n_cycles"].tolist() == [2, 1, 1]
-    whole = rows[rows["cycle"] == 0]
-    outside, tests = whole["n_outside"].sum(), whole["n_tests"].sum()
-    assert 0 < outside < tests
-    assert str(sheet.verdict[1]).startswith(f"{outside} of {tests} measured values")
+    totals = rows[rows["cycle"] == 0]
+    misses, tests = totals["n_outside"].sum(), totals["n_tests"].sum()
+    assert 0 < misses < tests
+    assert str(sheet.verdict[1]).startswith(f"{misses} of {tests} measured values")
 
 
 def test_a_condition_that_is_none_is_refused():

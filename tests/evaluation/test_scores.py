@@ -22,25 +22,25 @@ def test_calibrated_draws_cover_as_often_as_they_say():
     rng = np.random.default_rng(5)
     centre = np.sin(np.linspace(0, 20, 4000))
     observed = centre + 0.3 * rng.normal(size=4000)
-    right = score(centre + 0.3 * rng.normal(size=(1000, 4000)), observed)
-    np.testing.assert_allclose(right.coverage, COVERAGES, atol=0.03)
-    assert right.width == pytest.approx(2 * 1.96 * 0.3, rel=0.02)
+    calibrated = score(centre + 0.3 * rng.normal(size=(1000, 4000)), observed)
+    np.testing.assert_allclose(calibrated.coverage, COVERAGES, atol=0.03)
+    assert calibrated.width == pytest.approx(2 * 1.96 * 0.3, rel=0.02)
     narrow = score(centre + 0.1 * rng.normal(size=(1000, 4000)), observed)  # the control
     assert narrow.coverage[-1] < 0.6
-    assert narrow.crps > right.crps
+    assert narrow.crps > calibrated.crps
 
 
 def test_the_interval_score_is_least_for_the_true_spread():
     rng = np.random.default_rng(8)
     observed = rng.normal(size=3000)
-    found = [
+    scores = [
         score(sd * rng.normal(size=(800, 3000)), observed).interval_score for sd in (0.6, 1.0, 1.7)
     ]
-    assert min(found) == found[1]
+    assert min(scores) == scores[1]
     # of a normal, 2 z + 2 [φ(z) − z (1 − Φ(z))]/0.025 at z = 1.96
     z = stats.norm.ppf(0.975)
     expected = 2 * z + 80 * (stats.norm.pdf(z) - z * 0.025)
-    assert found[1] == pytest.approx(expected, rel=0.05)
+    assert scores[1] == pytest.approx(expected, rel=0.05)
 
 
 def test_rrse_of_the_mean_is_one():

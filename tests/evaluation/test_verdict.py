@@ -27,8 +27,8 @@ def energy(test, observed, expected, p_value=0.0):
     return missed(test, "energy per cycle", observed, expected, p_value, unit="kip*in")
 
 
-def band(test, half=0.5, most=0.9, nearly=0.95):
-    shares = {"coverage_50": half, "coverage_90": most, "coverage_95": nearly}
+def band(test, half=0.5, ninety=0.9, nearly=0.95):
+    shares = {"coverage_50": half, "coverage_90": ninety, "coverage_95": nearly}
     return coverage_checks({"test": test} | shares)
 
 

@@ -40,8 +40,8 @@ def vectors(n, seed=0, spread=0.4):
 
 def spring(z, p):
     a, b = (z - p["gap"] / 2) / p["ell"], (z + p["gap"] / 2) / p["ell"]
-    found = p["k_fwd"] * p["ell"] * np.logaddexp(0, a) - p["k_bwd"] * p["ell"] * np.logaddexp(0, -b)
-    return found + p["k_0"] * z
+    force = p["k_fwd"] * p["ell"] * np.logaddexp(0, a) - p["k_bwd"] * p["ell"] * np.logaddexp(0, -b)
+    return force + p["k_0"] * z
 
 
 def error(solve, trace, *amplitude, level=lambda time: 1.0, **changes):
@@ -90,14 +90,14 @@ def test_stages_follow_each_other_after_a_turn():
     """Slip, then unloading, the gap, build-up and slip again; shares of the way as they must be."""
     batch, trace = theta(n=8.0), sine(1.0, seconds=6.0, rate=400.0)
     turn, end = 400 * np.array([2.5, 3.45])  # a turn is at 2.5 s, the next at 3.5 s
-    part = slice(int(turn) + 2, int(end))
-    stage = MODEL.stages(batch, trace)[0, part]
+    window = slice(int(turn) + 2, int(end))
+    stage = MODEL.stages(batch, trace)[0, window]
     changes = stage[np.append(True, np.diff(stage) != 0)]
     np.testing.assert_array_equal(changes, [2, 4, 3, 1])
-    way = np.abs(np.diff(trace.displacement))[part.start : part.stop]
-    stuck, inside, built = (way[stage == k].sum() for k in (2, 4, 3))
+    way = np.abs(np.diff(trace.displacement))[window.start : window.stop]
+    stuck, in_gap, built = (way[stage == k].sum() for k in (2, 4, 3))
     top = VALUES["Fc_fwd"] * (1 + VALUES["static_excess_fwd"])
-    assert inside == pytest.approx(VALUES["gap"], rel=0.05)
+    assert in_gap == pytest.approx(VALUES["gap"], rel=0.05)
     assert stuck == pytest.approx(top / VALUES["k_fwd"], rel=0.3)
     assert built == pytest.approx(VALUES["Fc_bwd"] / VALUES["k_bwd"], rel=0.3)
 
@@ -112,13 +112,13 @@ def test_the_travel_from_slip_to_slip_is_what_a_loop_shows():
 
 
 def test_friction_that_falls_lets_go_as_the_motion_goes_on():
-    for back in [1.0, -1.0]:
+    for direction in [1.0, -1.0]:
         for n in [1.0, 20.0]:
-            there, away = np.linspace(0, 1, 50), 1 + back * np.linspace(0, 0.5, 50)
-            motion, level = np.concatenate([there, np.ones(5), away]), np.ones(105)
+            approach, departure = np.linspace(0, 1, 50), 1 + direction * np.linspace(0, 0.5, 50)
+            motion, level = np.concatenate([approach, np.ones(5), departure]), np.ones(105)
             level[52:] = 1e-9
-            time, still = np.arange(105) * 0.01, np.zeros(105)
-            trace = Trace.from_arrays(time, motion, actuation=level, velocity=still)
+            time, zeros = np.arange(105) * 0.01, np.zeros(105)
+            trace = Trace.from_arrays(time, motion, actuation=level, velocity=zeros)
             force = MODEL.force(theta(k_0=0.0, n=n), trace)[0]
             np.testing.assert_allclose(force[50:55], force[49], rtol=1e-9)  # nothing moves
             assert abs(force[-1]) < 1e-3 * force[49]
@@ -135,9 +135,9 @@ def test_dampers_that_are_hard_to_solve_leave_the_others_of_their_batch_alone():
     batch = np.concatenate([theta(), [STUBBORN], theta(**SUDDEN), theta(n=400.0)])
     for trace in (sine(), walk(3)):
         with np.errstate(all="ignore"):
-            alone = np.concatenate([MODEL.force_unbounded(row[None], trace) for row in batch])
+            separate = np.concatenate([MODEL.force_unbounded(row[None], trace) for row in batch])
             together = MODEL.force_unbounded(batch, trace)
-        np.testing.assert_allclose(together, alone, atol=1e-5)
+        np.testing.assert_allclose(together, separate, atol=1e-5)
         assert np.all(np.isfinite(together[0]))
 
 
@@ -145,43 +145,43 @@ def test_dampers_that_are_hard_to_solve_leave_the_others_of_their_batch_alone():
 
 
 def test_a_motion_cut_anywhere_goes_on_as_the_whole_does():
-    for at in [40, 250, 420]:
+    for index in [40, 250, 420]:
         for amplitude in [1.0, 0.15, 0.05]:
             batch, trace = vectors(5), sine(amplitude)
             batch[:, -3:-1] = 0.0  # no static friction, by which a deflection can be out of range
-            assert np.max(off_after_cut(MODEL, batch, trace, at)) < 0.01, at
-            assert np.max(off_after_cut(MODEL, batch, trace, at, start=0.5)) > 0.05, at
+            assert np.max(off_after_cut(MODEL, batch, trace, index)) < 0.01, index
+            assert np.max(off_after_cut(MODEL, batch, trace, index, start=0.5)) > 0.05, index
 
 
 def test_a_motion_cut_under_a_varying_actuation_goes_on_as_the_whole_does():
     level = 1.0 + 0.4 * np.sin(np.arange(1000) / 90.0)
-    batch, whole = vectors(3), sine(0.4, actuation=level)
-    at = 155  # in the gap, at a higher actuation than the mean
-    first, second = cut(whole, at)
-    share = level / whole.reference_actuation
-    scales, other = (
-        dict.fromkeys(("Fc_fwd", "Fc_bwd"), part[None]) for part in (share[: at + 1], share[at:])
+    batch, trace = vectors(3), sine(0.4, actuation=level)
+    i = 155  # in the gap, at a higher actuation than the mean
+    head, tail = cut(trace, i)
+    share = level / trace.reference_actuation
+    scales, tail_scales = (
+        dict.fromkeys(("Fc_fwd", "Fc_bwd"), half[None]) for half in (share[: i + 1], share[i:])
     )
-    start = MODEL.start_at(MODEL.end(batch, first, scales=scales), second)
-    found = MODEL.force(batch, second, start, scales=other)
-    np.testing.assert_allclose(found, MODEL.force(batch, whole)[:, at:], atol=0.02)
-    without = MODEL.end(batch, first)  # at the mean of the first part
-    assert np.max(np.abs(without - MODEL.end(batch, first, scales=scales))) > 1e-3
+    start = MODEL.start_at(MODEL.end(batch, head, scales=scales), tail)
+    force = MODEL.force(batch, tail, start, scales=tail_scales)
+    np.testing.assert_allclose(force, MODEL.force(batch, trace)[:, i:], atol=0.02)
+    unscaled = MODEL.end(batch, head)  # at the mean of the first part
+    assert np.max(np.abs(unscaled - MODEL.end(batch, head, scales=scales))) > 1e-3
 
 
 def test_the_place_of_the_spring_is_taken_over_by_other_parameters():
-    trace, own = sine(), theta()
+    trace, base = sine(), theta()
     wide, strong = theta(gap=0.4), theta(Fc_fwd=4.4, Fc_bwd=3.6)
     middle, slip = np.array([0.5]), np.array([1.0])
-    assert MODEL.start_at(slip, trace, own, own) == pytest.approx(1.0)
+    assert MODEL.start_at(slip, trace, base, base) == pytest.approx(1.0)
     # beyond the gap the spring keeps its deflection: in slip with a wider gap, too
-    assert MODEL.start_at(slip, trace, own, wide) == pytest.approx(1.0)
+    assert MODEL.start_at(slip, trace, base, wide) == pytest.approx(1.0)
     # and at twice the actuation it is half way to slip
-    force = MODEL.force(strong, trace, MODEL.start_at(slip, trace, own, strong))[0, 0]
-    assert force == pytest.approx(MODEL.force(own, trace, slip)[0, 0], rel=0.05)
+    force = MODEL.force(strong, trace, MODEL.start_at(slip, trace, base, strong))[0, 0]
+    assert force == pytest.approx(MODEL.force(base, trace, slip)[0, 0], rel=0.05)
     # back at the lower one it slips
-    assert MODEL.start_at(slip, trace, strong, own) == 1.0
-    inside = MODEL.start_at(middle, trace, own, wide)
+    assert MODEL.start_at(slip, trace, strong, base) == 1.0
+    position = MODEL.start_at(middle, trace, base, wide)
     z = 0.5 * (2.2 / 50.0 - 1.8 / 42.0)  # of the middle of the range, doubled as the gap is
     low, high = -0.2 - 1.8 / 42.0, 0.2 + 2.2 / 50.0
-    assert inside == pytest.approx((2.0 * z - low) / (high - low))
+    assert position == pytest.approx((2.0 * z - low) / (high - low))

@@ -60,9 +60,9 @@ def test_varying_actuation_equals_an_ode_solver():
 
 
 def test_friction_that_falls_lets_go_as_the_motion_goes_on():
-    for exponent, beta, back in itertools.product([1.0, 200.0], [0.5, 1.0], [1.0, -1.0]):
-        there, away = np.linspace(0, 1, 50), 1 + back * np.linspace(0, 0.2, 50)
-        motion = np.concatenate([there, np.ones(5), away])
+    for exponent, beta, direction in itertools.product([1.0, 200.0], [0.5, 1.0], [1.0, -1.0]):
+        approach, departure = np.linspace(0, 1, 50), 1 + direction * np.linspace(0, 0.2, 50)
+        motion = np.concatenate([approach, np.ones(5), departure])
         level = np.where(np.arange(105) < 52, 1.0, 1e-9)
         trace = Trace.from_arrays(np.arange(105) * 0.01, motion, actuation=level)
         force = MODEL.force(theta(alpha=0.0, c=0.0, exponent=exponent, beta=beta), trace)[0]

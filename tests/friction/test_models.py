@@ -38,9 +38,9 @@ def trace_of(x=MOTION, actuation=1.0, time=TIME):
     return Trace.from_arrays(time, x, actuation, hysteresis=0.0)
 
 
-def assert_close(force, expected, by=1e-8):
+def assert_close(force, expected, tolerance=1e-8):
     peak = np.abs(expected).max(axis=1, keepdims=True)
-    np.testing.assert_allclose(force / peak, expected / peak, rtol=0, atol=by)
+    np.testing.assert_allclose(force / peak, expected / peak, rtol=0, atol=tolerance)
 
 
 def test_a_batch_equals_its_vectors_each_with_its_own_start_and_factors(model):
@@ -51,9 +51,9 @@ def test_a_batch_equals_its_vectors_each_with_its_own_start_and_factors(model):
         for scales in (None, dict.fromkeys(model.actuated, factors)):
             together = model.force(theta, trace, start, scales=scales)
             for i in (0, 13, 39):
-                own = scales and {name: f[i : i + 1] for name, f in scales.items()}
-                alone = model.force(theta[i : i + 1], trace, start[i : i + 1], scales=own)
-                assert_close(together[i : i + 1], alone)
+                row_scales = scales and {name: f[i : i + 1] for name, f in scales.items()}
+                single = model.force(theta[i : i + 1], trace, start[i : i + 1], scales=row_scales)
+                assert_close(together[i : i + 1], single)
 
 
 def test_the_start_is_the_middle_when_left_out_and_counts_only_in_a_gap(model):
@@ -68,14 +68,14 @@ def test_opposite_motion_gives_the_opposite_force_where_both_directions_are_alik
     mirror = (lambda w: 1.0 - w) if model.name == "backlash" else (lambda w: w)
     for alike in (True, False):
         theta = dampers(model, 5, alike=alike)
-        there, back = (
+        forward, reverse = (
             model.force(theta, trace_of(sign * MOTION), start)
             for sign, start in ((1.0, 0.3), (-1.0, mirror(0.3)))
         )
         if alike:
-            assert_close(-back, there)
+            assert_close(-reverse, forward)
         else:
-            assert np.max(np.abs(there + back)) > 0.1  # the control
+            assert np.max(np.abs(forward + reverse)) > 0.1  # the control
 
 
 def test_without_actuation_slip_has_no_friction(model):
@@ -100,8 +100,8 @@ def test_a_steady_cycle_gives_no_energy(model):
     for amplitude in [1.0, 0.1, 0.01]:
         time = np.arange(0.0, 20.0, 0.005)
         trace = trace_of(amplitude * np.sin(np.pi * time), time=time)
-        force, last = model.force(dampers(model, 20), trace), slice(-401, None)
-        energy = np.trapezoid(force[:, last], trace.displacement[last], axis=1)
+        force, last_cycle = model.force(dampers(model, 20), trace), slice(-401, None)
+        energy = np.trapezoid(force[:, last_cycle], trace.displacement[last_cycle], axis=1)
         assert np.all(energy > -1e-3 * amplitude * np.abs(force).max(axis=1))
 
 
@@ -160,8 +160,8 @@ def test_a_building_meets_the_device_of_the_record(model):
         v = np.stack([trace.velocity for trace in traces])
         v[:, 0] = 0.0  # it begins at rest
         traces = [
-            Trace.from_arrays(STEPS, place, level, velocity=speed, hysteresis=0.0)
-            for place, speed in zip(x, v, strict=True)
+            Trace.from_arrays(STEPS, position, level, velocity=speed, hysteresis=0.0)
+            for position, speed in zip(x, v, strict=True)
         ]
         reference = traces[0].reference_actuation
         levels = np.broadcast_to(level, STEPS.size)
@@ -171,12 +171,12 @@ def test_a_building_meets_the_device_of_the_record(model):
         bank = bank.step(x[:, 0], v[:, 0], 1.0, shares[0])
         forces, rows = [bank.force], np.array([3, 1])
         for i in range(1, STEPS.size):
-            before = bank
+            previous = bank
             wrong = x[:, i].copy()
             wrong[rows] += 0.1
-            bank = before.step(wrong, v[:, i], 0.02, shares[i])
+            bank = previous.step(wrong, v[:, i], 0.02, shares[i])
             own = {name: share[rows] for name, share in shares[i].items()}
-            again = before.chosen(rows).step(x[rows, i], v[rows, i], 0.02, own)
+            again = previous.chosen(rows).step(x[rows, i], v[rows, i], 0.02, own)
             bank = bank.replaced(rows, again)
             forces.append(bank.force)
         expected = [
@@ -188,8 +188,8 @@ def test_a_building_meets_the_device_of_the_record(model):
 
 def test_given_factors_replace_the_proportion(model):
     trace, theta = trace_of(MOTIONS["partial"], time=STEPS), dampers(model, 3)
-    along = 1.0 + 0.4 * np.sin(np.array([[1.0], [2.0], [3.0]]) * STEPS)
-    scales = dict.fromkeys((*model.slip_forces, *model.shared_laws), along)
+    factors = 1.0 + 0.4 * np.sin(np.array([[1.0], [2.0], [3.0]]) * STEPS)
+    scales = dict.fromkeys((*model.slip_forces, *model.shared_laws), factors)
     expected = model.force(theta, trace, scales=scales)
     assert_close(stepped(model, theta, trace, scales=scales), expected)
 
@@ -197,8 +197,8 @@ def test_given_factors_replace_the_proportion(model):
 def test_a_valve_that_is_closed_at_first_is_no_reference(model):
     trace, theta = trace_of(np.sin(np.pi * STEPS), time=STEPS), dampers(model, 1)
 
-    def late(first, reference=None):
-        levels = np.where(STEPS > 0.0, 0.5, first)
+    def late(initial, reference=None):
+        levels = np.where(STEPS > 0.0, 0.5, initial)
         return stepped(model, theta, trace, reference=reference, levels=levels)[0, 100:]
 
     np.testing.assert_allclose(late(0.0), late(0.5), rtol=1e-3, atol=2e-3)
@@ -211,8 +211,8 @@ def test_a_batch_ends_in_the_gap_as_its_vectors_do_one_by_one(model):
     theta, start = dampers(model, 6), np.linspace(0.0, 1.0, 6)
     trace = walk(4)
     together = model.end(theta, trace, start)
-    alone = [model.end(row[None], trace, w0)[0] for row, w0 in zip(theta, start, strict=True)]
-    np.testing.assert_allclose(together, alone, atol=1e-8)
+    singles = [model.end(row[None], trace, w0)[0] for row, w0 in zip(theta, start, strict=True)]
+    np.testing.assert_allclose(together, singles, atol=1e-8)
     assert np.all((together >= 0.0) & (together <= 1.0))
 
 
@@ -229,9 +229,9 @@ def begun(model, **options):
     return model.step(state, 0.0, 1.0, 0.0)[1]
 
 
-def refused(words, call, *args, **options):
+def refused(words, function, *args, **options):
     with pytest.raises(FitError, match=words):
-        call(*args, **options)
+        function(*args, **options)
 
 
 def test_theta_is_an_array_of_all_parameters(model):
@@ -240,9 +240,9 @@ def test_theta_is_an_array_of_all_parameters(model):
         refused(rf"theta .* \(n, {p}\) for {model.name}", model.force, np.ones(shape), TRACE)
     for make in (lambda x: np.ma.masked_greater(x, 0), lambda x: x + 1j, lambda x: x.astype(str)):
         refused(r"masked|real numbers", model.force, make(np.ones((2, p))), TRACE)
-    none = np.ones((0, p))
-    assert model.force(none, TRACE).shape == model.travel(none, TRACE).shape == (0, 101)
-    assert model.end(none, TRACE).shape == (0,)
+    empty = np.ones((0, p))
+    assert model.force(empty, TRACE).shape == model.travel(empty, TRACE).shape == (0, 101)
+    assert model.end(empty, TRACE).shape == (0,)
 
 
 def test_a_parameter_outside_its_limits_is_named(model):
@@ -250,32 +250,32 @@ def test_a_parameter_outside_its_limits_is_named(model):
     limits = {quantity.name: (quantity.lower, quantity.upper) for quantity in model.quantities}
     assert model.positive
     for i, name in enumerate(model.parameters):
-        least, most = limits[name]
-        bad = [np.nan, np.inf, least - 0.1, *([most + 0.1] if np.isfinite(most) else [])]
+        lower, upper = limits[name]
+        bad = [np.nan, np.inf, lower - 0.1, *([upper + 0.1] if np.isfinite(upper) else [])]
         for value in bad + [0.0] * (name in model.positive):
-            changed = theta.copy()
-            changed[1, i] = value
-            for call, args in ((model.start, ()), (model.force, (TRACE,)), (model.end, (TRACE,))):
-                refused(f"parameter {name} must be finite.* got", call, changed, *args)
+            invalid = theta.copy()
+            invalid[1, i] = value
+            for method, args in ((model.start, ()), (model.force, (TRACE,)), (model.end, (TRACE,))):
+                refused(f"parameter {name} must be finite.* got", method, invalid, *args)
 
 
 def test_static_friction_is_at_least_kinetic_but_for_rounding(model):
     for static, kinetic in model.shared_laws.items():
         theta = model.theta(some_values(2))
-        at, other = model.parameters.index(static), model.parameters.index(kinetic)
-        theta[:, at] = theta[:, other] * (1.0 - 1e-13)
+        i, j = model.parameters.index(static), model.parameters.index(kinetic)
+        theta[:, i] = theta[:, j] * (1.0 - 1e-13)
         assert model.force(theta, TRACE).shape == (2, TRACE.samples)
-        theta[1, at] *= 1.0 - 1e-9
+        theta[1, i] *= 1.0 - 1e-9
         refused(f"{static} must be at least kinetic {kinetic}", model.force, theta, TRACE)
 
 
 def test_trace_start_and_direction_are_checked_where_they_are_without_effect(model):
     theta = model.theta(some_values())
-    for call in (model.force, model.travel, model.end):
+    for function in (model.force, model.travel, model.end):
         for trace in (None, TIME, "trace"):
-            refused("trace must be a Trace", call, theta[:0], trace)
+            refused("trace must be a Trace", function, theta[:0], trace)
         for start in ("nonsense", np.nan, 2, -0.1, True, [0.1, 0.2], [[0.5]]):
-            refused("start must", call, theta, TRACE, start)
+            refused("start must", function, theta, TRACE, start)
             refused("start must", model.start, theta, start)
     for direction in (2, 0, "x", [1, 1, 1]):
         refused("direction must be 1 or -1", model.start, theta, direction=direction)
@@ -286,15 +286,15 @@ def test_trace_start_and_direction_are_checked_where_they_are_without_effect(mod
 def test_factors_are_numbers_of_what_follows_the_actuation(model):
     name, theta, state = model.slip_forces[0], model.theta(some_values(3)), begun(model)
     for scales in ([1.0], "a", 5, np.ones((1, 101))):
-        for call in (model.force, model.end):
-            refused("scales must be a mapping", call, theta, TRACE, scales=scales)
+        for function in (model.force, model.end):
+            refused("scales must be a mapping", function, theta, TRACE, scales=scales)
         refused("scales must be", model.step, state, **STEP, scales=scales)
     shapes = [[1.0], [1.0, 2.0]], np.ones((2, 101)), np.ones(101)
     for factor in ("a", [1.0, 2.0, 3.0], None, *shapes):
         refused(name, model.force, theta, TRACE, scales={name: factor})
         refused(name, model.step, state, **STEP, scales={name: factor})
-    other = next(n for n in model.parameters if n not in model.actuated)
-    for key, factor in ((other, 1.0), (name, np.nan), (name, -1.0)):
+    unscaled = next(n for n in model.parameters if n not in model.actuated)
+    for key, factor in ((unscaled, 1.0), (name, np.nan), (name, -1.0)):
         scales = {key: np.full((1, 101), factor)}
         refused(f"scales .*{key}", model.force, theta, TRACE, scales=scales)
 
@@ -302,39 +302,39 @@ def test_factors_are_numbers_of_what_follows_the_actuation(model):
 def test_a_step_takes_numbers_alone(model):
     state = begun(model, reference_actuation=0.5)
     for name in (*STEP, "actuation"):
-        none = [None] * (name != "actuation")
-        for value in ("0.1", [0.1], np.array([0.1]), True, np.nan, 1j, *none):
+        missing = [None] * (name != "actuation")
+        for value in ("0.1", [0.1], np.array([0.1]), True, np.nan, 1j, *missing):
             refused(f"{name} of a step must be a finite", model.step, state, **STEP | {name: value})
     forces = [model.step(state, *map(form, (0.25, 1.0, 0.1)))[0] for form in (float, np.array)]
     np.testing.assert_array_equal(*forces)
 
 
 def test_a_state_of_another_model_is_refused(model):
-    for other in [*MODELS, None]:
-        state = None if other is None else begun(find_model(other))
-        if other == model.name:
+    for peer in [*MODELS, None]:
+        state = None if peer is None else begun(find_model(peer))
+        if peer == model.name:
             assert model.step(state, **STEP)[0].shape == (2,)
         else:
             refused("state must come from start or step of", model.step, state, **STEP)
 
 
 def test_a_table_is_read_by_its_names(model):
-    theta, last = model.theta(some_values(3)), model.parameters[-1]
+    theta, last_name = model.theta(some_values(3)), model.parameters[-1]
     table = pd.DataFrame(theta, columns=list(model.parameters)).assign(other="text")
     shuffled = table[sorted(table.columns)]
-    for call in (model.force, model.travel, model.end):
-        np.testing.assert_array_equal(call(shuffled, TRACE), call(theta, TRACE))
-    states = [model.start(given) for given in (theta, shuffled)]
+    for function in (model.force, model.travel, model.end):
+        np.testing.assert_array_equal(function(shuffled, TRACE), function(theta, TRACE))
+    states = [model.start(vectors) for vectors in (theta, shuffled)]
     np.testing.assert_array_equal(*(model.step(state, **STEP)[0] for state in states))
-    for lacking in (table.drop(columns=last), pd.DataFrame(theta)):
-        refused(f"theta is a table, .* it lacks .*{last}", model.force, lacking, TRACE)
+    for lacking in (table.drop(columns=last_name), pd.DataFrame(theta)):
+        refused(f"theta is a table, .* it lacks .*{last_name}", model.force, lacking, TRACE)
 
 
 def test_values_are_vectors_given_by_name(model):
-    for call in [model.theta, *([model.gap, model.slip_to_slip] if model.has_gap else [])]:
+    for function in [model.theta, *([model.gap, model.slip_to_slip] if model.has_gap else [])]:
         for values in (None, [1.0], "a", 5, dict):
-            refused("values must be a mapping from names", call, values)
-        refused("values by name lack", call, {})
+            refused("values must be a mapping from names", function, values)
+        refused("values by name lack", function, {})
     for quantity in model.quantities:
         if quantity.sampled and quantity.name in model.parameters:
             values = {k: v for k, v in some_values().items() if k != quantity.name}

@@ -87,9 +87,9 @@ def test_its_parameters_are_sampled_and_the_truth_is_inside(folder, viscous):
     for model in (viscous, str(folder / "my_damper.py:Viscous")):
         posterior = mb.Posterior(trace_of(noisy), str(folder / "priors.toml"), "iid", model)
         assert posterior.names == ("c", "alpha", "offset", "noise_sd")
-    drawn = mb.sample(posterior, effort="quick", seed=1)
+    draws = mb.sample(posterior, effort="quick", seed=1)
     for column, name in enumerate(TRUTH):
-        values = drawn.theta[..., column]
+        values = draws.theta[..., column]
         assert abs(values.mean() - TRUTH[name]) < 4.0 * values.std()
         assert values.std() < 0.05
 
@@ -99,8 +99,8 @@ def test_a_changing_actuation_scales_what_follows_it(viscous):
     trace = trace_of(actuation=level)
     expected = FORCE * level / trace.reference_actuation
     np.testing.assert_allclose(viscous.force([[0.4, 0.5]], trace)[0], expected)
-    given = viscous.force([[0.4, 0.5]], trace_of(), scales={"c": np.full((1, TIME.size), 3.0)})
-    np.testing.assert_allclose(given[0], 3.0 * FORCE)
+    force = viscous.force([[0.4, 0.5]], trace_of(), scales={"c": np.full((1, TIME.size), 3.0)})
+    np.testing.assert_allclose(force[0], 3.0 * FORCE)
 
 
 def test_a_step_equals_the_record_and_leaves_the_old_state(viscous):
@@ -211,10 +211,10 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("old", "new", "words"), WRONG)
-def test_a_class_that_is_no_model_is_named_with_its_file(folder, old, new, words):
-    assert old in VISCOUS
-    (folder / "my_damper.py").write_text(VISCOUS.replace(old, new), encoding="utf-8")
+@pytest.mark.parametrize(("target", "replacement", "words"), WRONG)
+def test_a_class_that_is_no_model_is_named_with_its_file(folder, target, replacement, words):
+    assert target in VISCOUS
+    (folder / "my_damper.py").write_text(VISCOUS.replace(target, replacement), encoding="utf-8")
     trace = trace_of(FORCE, 0.5 + 0.1 * np.sin(TIME))
 
     def use():
@@ -257,24 +257,24 @@ STEELS = np.array(
 
 def steel02(strain, modulus, yielding, b, c1, c2, a1, a3, r0=20.0):
     """Stress after Steel02's sequence of conditions, one sample after the other."""
-    hard, first = b * modulus, yielding / modulus
-    highest, lowest, way, stress = first, -first, 0, [0.0]
-    begun, base = strain[0], 0.0
-    for before, now in pairwise(strain):
-        up = np.sign(now - before) or way
-        if up != way:
+    hard, eps_y = b * modulus, yielding / modulus
+    highest, lowest, way, stress = eps_y, -eps_y, 0, [0.0]
+    origin, base = strain[0], 0.0
+    for previous, now in pairwise(strain):
+        direction = np.sign(now - previous) or way
+        if direction != way:
             shift = 1.0
             if way:
-                begun, base = before, stress[-1]
-                highest, lowest = max(highest, begun), min(lowest, begun)
-                shift += (a3 if up > 0 else a1) * ((highest - lowest) / (2 * first)) ** 0.8
-            way = up
-            level = up * shift * (yielding - hard * first)
-            knee = (level - base + modulus * begun) / (modulus - hard)
+                origin, base = previous, stress[-1]
+                highest, lowest = max(highest, origin), min(lowest, origin)
+                shift += (a3 if direction > 0 else a1) * ((highest - lowest) / (2 * eps_y)) ** 0.8
+            way = direction
+            level = direction * shift * (yielding - hard * eps_y)
+            knee = (level - base + modulus * origin) / (modulus - hard)
             top = level + hard * knee
-            xi = abs(((highest if up > 0 else lowest) - knee) / first)
+            xi = abs(((highest if direction > 0 else lowest) - knee) / eps_y)
             r = r0 * (1 - c1 * xi / (c2 + xi))
-        x = (now - begun) / (knee - begun)
+        x = (now - origin) / (knee - origin)
         stress.append(base + (b * x + (1 - b) * x / (1 + abs(x) ** r) ** (1 / r)) * (top - base))
     return np.array(stress)
 
@@ -287,5 +287,5 @@ def test_the_example_agrees_with_steel02_in_steps():
     stress = find_model("steel.py:Steel", EXAMPLE).force(STEELS, trace)
     for row, values in zip(stress, STEELS, strict=True):
         assert np.max(np.abs(row - steel02(strain, *values))) < 1e-8
-        other = [*values[:-1], values[-1] + 0.01]  # the control: another hardening
-        assert np.max(np.abs(row - steel02(strain, *other))) > 1.0
+        hardened = [*values[:-1], values[-1] + 0.01]  # the control: another hardening
+        assert np.max(np.abs(row - steel02(strain, *hardened))) > 1.0

@@ -137,8 +137,8 @@ def test_force_agrees_with_a_stiff_solver_within_two_thousandths_of_the_peak():
         assert peak > 0.01
         assert np.max(np.abs(force - expected)) < 2e-3 * peak
         # the control: a gap that is a fiftieth wider is another force
-        other = MODEL.force(theta(**changes, d2=1.02 * VALUES["d2"]), motion.trace(), start)[0]
-        assert motion is IN_GAP or np.max(np.abs(other - expected)) > 2e-3 * peak
+        perturbed = MODEL.force(theta(**changes, d2=1.02 * VALUES["d2"]), motion.trace(), start)[0]
+        assert motion is IN_GAP or np.max(np.abs(perturbed - expected)) > 2e-3 * peak
 
 
 def test_travel_begins_where_the_damper_starts_and_at_every_turn_after_slip():
@@ -173,28 +173,28 @@ def test_friction_follows_the_actuation_or_the_factors_that_are_given():
     history = FULL.trace(actuation=np.where(late, 2.0, 1.0))
     mean = history.reference_actuation
     vector = theta(sigma2=0.0, Fs_fwd=2.0, Fs_bwd=1.5)  # at the mean actuation
-    alone = dict.fromkeys(("Fs_fwd", "Fc_fwd"), np.where(late, 3.0, 1.0)[None])
+    friction_only = dict.fromkeys(("Fs_fwd", "Fc_fwd"), np.where(late, 3.0, 1.0)[None])
     deep = (np.abs(trace.velocity) > 2.9) & (trace.displacement * trace.velocity > 0)  # full slip
-    for force, part, forward, backward in (
+    for force, mask, forward, backward in (
         (MODEL.force(vector, history)[0], trace.time > 5, 4.0 / mean, -3.0 / mean),
         (MODEL.force(vector, history)[0], (trace.time > 1) & ~late, 2.0 / mean, -1.5 / mean),
-        (MODEL.force(vector, trace, scales=alone)[0], trace.time > 5, 6.0, -1.5),
+        (MODEL.force(vector, trace, scales=friction_only)[0], trace.time > 5, 6.0, -1.5),
     ):
-        slip = force[part & deep]
+        slip = force[mask & deep]
         np.testing.assert_allclose(slip[slip > 0], forward, rtol=1e-3)
         np.testing.assert_allclose(slip[slip < 0], backward, rtol=1e-3)
     # none at all switches the law off
-    off = MODEL.force(vector, history, scales={})
-    np.testing.assert_allclose(off, MODEL.force(vector, trace), rtol=1e-12)
+    unscaled = MODEL.force(vector, history, scales={})
+    np.testing.assert_allclose(unscaled, MODEL.force(vector, trace), rtol=1e-12)
 
 
 def test_releasing_the_brake_at_rest_makes_no_spike():
-    for left in [0.0, 0.01, 0.1]:
+    for residual in [0.0, 0.01, 0.1]:
         # slip, rest while the pressure falls, then move on: micro-damping must not see an
         # infinite bristle rate where F1 = σ0 z is far above what friction holds now
         time = np.arange(0, 3, 0.01)
         motion = np.interp(time, [0, 1, 2, 3], [0, 1, 1, 2])
-        history = np.where(time < 1.5, 1.0, left)
+        history = np.where(time < 1.5, 1.0, residual)
         force = MODEL.force(theta(), Trace.from_arrays(time, motion, actuation=history))[0]
         highest = VALUES["Fs_fwd"] / np.mean(history)
         assert np.max(np.abs(force)) < 1.1 * highest
@@ -255,22 +255,22 @@ def test_a_motion_cut_in_the_gap_goes_on_as_the_whole_does():
     for sign in [1.0, -1.0]:
         for reached in [0.04, 0.1, 0.16]:
             corners = [0.0, 0.6, -0.6, -0.6 + 0.5 * reached, -0.6 + reached, 0.5, -0.5]
-            trace, at = motion_of(*sign * np.array(corners)), 4 * 39
-            away = off_after_cut(MODEL, batch, trace, at)
-            assert np.max(away[39 + 5 :]) < 1e-6  # past the first turn after slip
-            middle = off_after_cut(MODEL, batch, trace, at, start=0.5)
+            trace, index = motion_of(*sign * np.array(corners)), 4 * 39
+            deviation = off_after_cut(MODEL, batch, trace, index)
+            assert np.max(deviation[39 + 5 :]) < 1e-6  # past the first turn after slip
+            middle = off_after_cut(MODEL, batch, trace, index, start=0.5)
             # before it, bristles that begin at rest differ on a short way
-            assert np.linalg.norm(away[:39]) < 0.6 * np.linalg.norm(middle[:39])
+            assert np.linalg.norm(deviation[:39]) < 0.6 * np.linalg.norm(middle[:39])
 
 
 def test_at_a_turn_after_slip_a_motion_begins_at_an_end_of_the_gap():
-    for x, place in ((0.6, 1.0), (-0.6, 0.0)):
+    for x, expected in ((0.6, 1.0), (-0.6, 0.0)):
         end = MODEL.end(theta(), motion_of(0.0, x))
-        assert end == place
+        assert end == expected
         assert MODEL.start_at(end, motion_of(x, 0.0)) == 0.0  # travel since the slip
         assert MODEL.start_at(end, motion_of(x, 2.0 * x)) == 1.0
-    inside = motion_of(0.6, -0.6, -0.6 + 0.25 * D)
-    assert MODEL.end(theta(), inside) == pytest.approx(0.25)
+    motion = motion_of(0.6, -0.6, -0.6 + 0.25 * D)
+    assert MODEL.end(theta(), motion) == pytest.approx(0.25)
 
 
 def test_a_model_of_ones_own_with_a_gap_must_say_where_it_ends():

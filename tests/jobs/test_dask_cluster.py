@@ -35,14 +35,14 @@ MANY = {f"{name}_NUM_THREADS": "2" for name in ("OPENBLAS", "OMP", "MKL")}
 ODD = 'p500 "ü" $(x); 1'
 
 
-def until(found, what):
+def until(condition, message):
     """The first true value of a function, called again and again."""
     limit = time.monotonic() + 120.0
     while time.monotonic() < limit:
-        if answer := found():
+        if answer := condition():
             return answer
         time.sleep(0.1)
-    raise TimeoutError(what)
+    raise TimeoutError(message)
 
 
 CLUSTER = """
@@ -108,32 +108,32 @@ def campaign(tmp_path_factory):
 @pytest.fixture(scope="module")
 def tasks(campaign):
     """The jobs of the tests, one with a name full of special characters."""
-    first, second = plan_campaign(campaign, RunOptions(effort="quick")).tasks
-    return replace(first, id=ODD, file=posterior_of(ODD)), second
+    task_a, task_b = plan_campaign(campaign, RunOptions(effort="quick")).tasks
+    return replace(task_a, id=ODD, file=posterior_of(ODD)), task_b
 
 
 @pytest.fixture(scope="module")
 def reference(tasks, tmp_path_factory):
     """Posteriors of the tests by one process of this machine."""
-    out = tmp_path_factory.mktemp("reference")
-    list(run_in_processes(tasks, out, 1, lambda _: None))
-    return out
+    folder = tmp_path_factory.mktemp("reference")
+    list(run_in_processes(tasks, folder, 1, lambda _: None))
+    return folder
 
 
 @pytest.fixture(scope="module")
 def whole(campaign, tmp_path_factory):
     """A whole run by one process of this machine."""
-    out = tmp_path_factory.mktemp("whole") / "out"
-    calibrate(plan_campaign(campaign, RunOptions(effort="quick", jobs=1)), out, lambda _: None)
-    return out
+    folder = tmp_path_factory.mktemp("whole") / "out"
+    calibrate(plan_campaign(campaign, RunOptions(effort="quick", jobs=1)), folder, lambda _: None)
+    return folder
 
 
-def stored(out):
-    return {p.relative_to(out).as_posix(): content(p) for p in sorted(out.rglob("*.nc"))}
+def stored(folder):
+    return {p.relative_to(folder).as_posix(): content(p) for p in sorted(folder.rglob("*.nc"))}
 
 
-def command(campaign, out, address, *options):
-    words = ("calibrate", campaign, "-o", out, "--effort", "quick", "--scheduler", address)
+def command(campaign, folder, address, *options):
+    words = ("calibrate", campaign, "-o", folder, "--effort", "quick", "--scheduler", address)
     return [str(word) for word in (*words, *options)]
 
 
@@ -147,13 +147,13 @@ def on_cluster(*arguments):
 
 
 def test_draws_are_those_of_one_process_to_the_last_bit(address, tasks, reference, tmp_path):
-    seen = []
-    outcomes = list(on_cluster(tasks, tmp_path, address, seen.append))
+    events = []
+    outcomes = list(on_cluster(tasks, tmp_path, address, events.append))
     assert {(o.id, o.status) for o in outcomes} == {(task.id, "done") for task in tasks}
     assert stored(tmp_path) == stored(reference)
     assert not list(tmp_path.rglob("*.part"))
     for task in tasks:  # as a table shows them
-        steps = [step for step in seen if step.id == task.id]
+        steps = [step for step in events if step.id == task.id]
         assert [s.stage for s in steps[:2]] == ["waiting", "finding modes"]
         assert {s.stage for s in steps[2:-1]} == {"sampling"}
         assert steps[-1].stage == "done"
@@ -166,38 +166,40 @@ def test_folds_of_a_cross_validation_need_no_shared_folder(address, whole):
 
     run = open_run(whole)
     folds = folds_of(run, "test", "quick")
-    found = run_folds(run, folds, RunOptions(effort="quick", scheduler=address), lambda _: None)
+    predictions = run_folds(
+        run, folds, RunOptions(effort="quick", scheduler=address), lambda _: None
+    )
     for fold in folds:
         (whole / "crossvalidation" / fold.file).unlink()
-    assert found == run_folds(run, folds, RunOptions(effort="quick", jobs=1), lambda _: None)
+    assert predictions == run_folds(run, folds, RunOptions(effort="quick", jobs=1), lambda _: None)
 
 
 # --- losses
 
 
 def test_a_test_whose_worker_is_killed_begins_again(address, tasks, reference, tmp_path):
-    seen = []
+    events = []
 
     def observe(step):
-        if step.stage == "finding modes" and not any(s.stage == step.stage for s in seen):
+        if step.stage == "finding modes" and not any(s.stage == step.stage for s in events):
             with ask(address) as client:
                 pids = client.run(os.getpid)
             os.kill(*pids.values(), signal.SIGKILL)
-        seen.append(step)
+        events.append(step)
 
     (outcome,) = on_cluster(tasks[:1], tmp_path, address, observe)
     assert outcome.status == "done"
-    (again,) = [step for step in seen if step.stage == "begins again:"]
+    (again,) = [step for step in events if step.stage == "begins again:"]
     assert "was lost" in again.message
     name = f"tests/{ODD}/posterior.nc"
     assert stored(tmp_path)[name] == stored(reference)[name]
 
 
 def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tmp_path):
-    out, printed = tmp_path / "out", tmp_path / "printed.txt"
+    folder, printed = tmp_path / "out", tmp_path / "printed.txt"
     with cluster(tmp_path) as (scheduler, address), printed.open("w") as file:
         process = subprocess.Popen(
-            [sys.executable, "-m", "mfd_bayes", *command(campaign, out, address)],
+            [sys.executable, "-m", "mfd_bayes", *command(campaign, folder, address)],
             stdout=file,
             stderr=subprocess.PIPE,
             text=True,
@@ -210,10 +212,10 @@ def test_a_lost_scheduler_ends_the_run_which_resume_finishes(campaign, whole, tm
     (sentence,) = complaint.splitlines()
     assert sentence.startswith(f"mfd-bayes: the scheduler at {address} was lost")
     assert "--resume" in sentence
-    assert not list(out.glob(".*"))
+    assert not list(folder.glob(".*"))
     options = RunOptions(effort="quick", jobs=1, resume=True)
-    calibrate(plan_campaign(campaign, options), out, lambda _: None)
-    assert stored(out) == stored(whole)
+    calibrate(plan_campaign(campaign, options), folder, lambda _: None)
+    assert stored(folder) == stored(whole)
 
 
 # --- refusals

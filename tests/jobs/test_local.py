@@ -52,16 +52,16 @@ class Work:
         return Outcome(self.id, JobState.DONE, 0.0)
 
 
-def work(*jobs, out, processes=1, observe=lambda _: None):
-    return list(run_in_processes(jobs, out, processes, observe))
+def work(*jobs, folder, processes=1, observe=lambda _: None):
+    return list(run_in_processes(jobs, folder, processes, observe))
 
 
 def test_a_killed_process_is_said_in_one_sentence_and_its_job_begins_again(tmp_path):
-    seen = []
-    outcomes = work(Work("a", kills=2), Work("b"), out=tmp_path, observe=seen.append)
+    events = []
+    outcomes = work(Work("a", kills=2), Work("b"), folder=tmp_path, observe=events.append)
     assert sorted(o.id for o in outcomes) == ["a", "b"]
     assert {o.status for o in outcomes} == {"done"}
-    notes = [step.message for step in seen if step.stage == "note:"]
+    notes = [step.message for step in events if step.stage == "note:"]
     assert len(notes) == 2
     assert all("killed" in note and note.endswith(": a") for note in notes)
 
@@ -81,7 +81,7 @@ def test_a_full_disk_or_memory_is_said_in_a_sentence(tmp_path, capfd):
         ("memory", FitError, r"memory is too short for memory \(Unable to .*\): give fewer --jobs"),
     ]:
         with pytest.raises(kind, match=sentence):
-            work(Work(name), out=tmp_path)
+            work(Work(name), folder=tmp_path)
         assert capfd.readouterr().err == ""
 
 
@@ -152,7 +152,7 @@ def test_where_a_process_is_killed_this_one_goes_on(functions):
     expected = [functions[j](x) for j, x in POINTS]
     with several_processes(functions, 2) as evaluate:
         stream = evaluate(iter(POINTS))
-        first = next(stream)
+        head = next(stream)
         os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
-        np.testing.assert_array_equal([first, *stream], expected)
+        np.testing.assert_array_equal([head, *stream], expected)
         np.testing.assert_array_equal(list(evaluate(POINTS)), expected)

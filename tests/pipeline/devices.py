@@ -67,9 +67,9 @@ def write_device(folder: Path, device: Device, seed: int = 1) -> dict[str, dict[
 
 
 def _write_test(
-    path: Path, device: Device, at: tuple[float, float], rng: np.random.Generator
+    path: Path, device: Device, condition: tuple[float, float], rng: np.random.Generator
 ) -> dict[str, float]:
-    level, frequency = at
+    level, frequency = condition
     values = {k: m * np.exp(_SCATTER * rng.standard_normal(1)) for k, m in _MEDIANS.items()}
     for side, slip in (("fwd", 1.5), ("bwd", 1.8)):
         values[f"Fc_{side}"] = slip * level * np.exp(_SCATTER * rng.standard_normal(1))
@@ -84,8 +84,8 @@ def _write_test(
     travel = motion * by_length / factor(device.length_unit, "displacement")
     rows = np.column_stack([time, travel, force * by_force / factor(device.force_unit, "force")])
     head = f"time_s\ttravel_{device.length_unit}\tload_{device.force_unit}"
-    above = head if device.named else "Logger 7\nthree channels: clock, LVDT, load cell"
-    np.savetxt(path, rows, "%.9g", "\t", header=above, comments="")
+    heading = head if device.named else "Logger 7\nthree channels: clock, LVDT, load cell"
+    np.savetxt(path, rows, "%.9g", "\t", header=heading, comments="")
     scales = dict.fromkeys(_OF_FORCE, by_force) | dict.fromkeys(_OF_LENGTH, by_length)
     scales |= dict.fromkeys(_STIFF, by_force / by_length)
     return {name: float(value[0]) * scales.get(name, 1.0) for name, value in values.items()}

@@ -65,25 +65,25 @@ def test_chatter_is_no_change_of_the_slip_force(run, production):
     forward = np.gradient(x, quiet.time) > 0.0
     chatter = 0.7 * np.where(forward, 1.0, -1.0) * np.cos(2.0 * np.pi * x / 0.15 + np.pi)
     loud = replace(quiet, force=force + chatter * (np.abs(force) > 1.0))
-    (before,), (after,) = (mb.accept(run, record) for record in (quiet, loud))
+    (steady,), (chattering,) = (mb.accept(run, record) for record in (quiet, loud))
     for name in ("slip_fwd", "slip_bwd"):
-        sizes = [device.rows.loc[name, "measured"] for device in (before, after)]
+        sizes = [device.rows.loc[name, "measured"] for device in (steady, chattering)]
         assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
-        assert after.rows.loc[name, "verdict"] != "beyond the limit"
+        assert chattering.rows.loc[name, "verdict"] != "beyond the limit"
 
 
 def test_a_force_read_in_another_unit_is_asked_for(run, production):
-    for name, factor, asked in (("kN.csv", 4.448, True), ("strong.csv", 1.3, False)):
+    for name, factor, expected in (("kN.csv", 4.448, True), ("strong.csv", 1.3, False)):
         record = mb.read_record(production(name, factor), actuation="1000 psi")
         (device,) = mb.accept(run, record)
         assert device.verdict == "rejected"
         sentence = "is its unit wrong? It was read in kip, and in kN"
-        assert (sentence in device.sentence) is asked, device.sentence
+        assert (sentence in device.sentence) is expected, device.sentence
 
 
 def test_bounds_are_those_of_the_data_sheet_and_what_they_hold_does_not_differ(run):
     """An unaltered record of the calibrated device: one interval in accept and in the sheet."""
-    shown = datasheet(run).rows.query("cycle == 0").set_index(["condition", "quantity"])
+    sheet = datasheet(run).rows.query("cycle == 0").set_index(["condition", "quantity"])
     names = {"energy_per_cycle": "energy", "effective_damping": "effective_damping"}
     for test in run.manifest.settings.test:
         if test.role != "calibrate":
@@ -93,12 +93,12 @@ def test_bounds_are_those_of_the_data_sheet_and_what_they_hold_does_not_differ(r
         level = test.actuation.split()[0]
         for name, quantity in names.items():
             row = device.rows.loc[name]
-            condition = next(c for c, q in shown.index if c.startswith(f"{level} "))
-            bounds = shown.loc[(condition, quantity), ["lower", "upper"]].to_numpy(float).ravel()
+            condition = next(c for c, q in sheet.index if c.startswith(f"{level} "))
+            bounds = sheet.loc[(condition, quantity), ["lower", "upper"]].to_numpy(float).ravel()
             assert row[["lower", "upper"]].to_numpy(float) == pytest.approx(bounds, rel=0.03)
-        inside = device.rows["measured"].between(device.rows["lower"], device.rows["upper"])
-        assert (device.rows.loc[inside, "verdict"] != "differs").all()
-        assert (device.rows.loc[inside, "p_value"] > 0.05).all()
+        in_bounds = device.rows["measured"].between(device.rows["lower"], device.rows["upper"])
+        assert (device.rows.loc[in_bounds, "verdict"] != "differs").all()
+        assert (device.rows.loc[in_bounds, "p_value"] > 0.05).all()
         assert device.verdict != "rejected"
 
 
@@ -119,11 +119,11 @@ def test_bounds_are_those_of_the_data_sheet_and_what_they_hold_does_not_differ(r
 def test_what_is_no_record_with_a_force_is_refused_in_one_sentence(
     run, record, records, options, words
 ):
-    made = {"trace": record.trace(), "record": record}
-    made["constant"] = replace(record, force=np.full_like(record.force, 2.0))
+    cases = {"trace": record.trace(), "record": record}
+    cases["constant"] = replace(record, force=np.full_like(record.force, 2.0))
     with pytest.raises(mb.MfdError, match=words):
         mb.accept(
-            run, made.get(records, records) if isinstance(records, str) else records, **options
+            run, cases.get(records, records) if isinstance(records, str) else records, **options
         )
     with pytest.raises(mb.MfdError, match="run must be a Run"):
         mb.accept("out", record)
@@ -144,9 +144,9 @@ def test_several_records_of_a_device_tell_more(run, production):
         mb.read_record(production(f"r{seed}.csv", seed=seed), actuation="1000 psi")
         for seed in range(3)
     ]
-    (one,) = mb.accept(run, records[0], device="no. 17")
+    (single,) = mb.accept(run, records[0], device="no. 17")
     (three,) = mb.accept(run, records, device="no. 17")
-    wide, narrow = (d.rows["effect_upper"] - d.rows["effect_lower"] for d in (one, three))
+    wide, narrow = (d.rows["effect_upper"] - d.rows["effect_lower"] for d in (single, three))
     assert narrow["slip_fwd"] < 0.95 * wide["slip_fwd"]
     assert (three.device, len(three.comparisons)) == ("no. 17", 3)
     assert [d.device for d in mb.accept(run, records)] == ["r0", "r1", "r2"]
@@ -165,18 +165,18 @@ def test_wide_limits_are_kept_and_narrow_ones_are_not_shown(run, record):
 
 
 def test_what_cannot_be_judged_is_refused(out, production, tmp_path):
-    good, swapped = production("good.csv"), production("swapped.csv", -1.0)
+    valid, swapped = production("good.csv"), production("swapped.csv", -1.0)
     for path, words, offender in (
-        (good, ("--limit", "slop=15 %"), "slop"),
-        (good, ("--limit", "slip=150 %"), "slip"),
-        (good, ("--device", "a", "--device", "b"), "device"),
-        (good, ("--actuation", "5 kip"), "--actuation"),
-        (good, ("--date", "5.3.2024"), "--date"),
-        (good, ("--cycles", "-1"), "--cycles"),
+        (valid, ("--limit", "slop=15 %"), "slop"),
+        (valid, ("--limit", "slip=150 %"), "slip"),
+        (valid, ("--device", "a", "--device", "b"), "device"),
+        (valid, ("--actuation", "5 kip"), "--actuation"),
+        (valid, ("--date", "5.3.2024"), "--date"),
+        (valid, ("--cycles", "-1"), "--cycles"),
         (swapped, (), "sign"),
     ):
-        asked = ("--actuation", "1000 psi", "-o", tmp_path / "qc", *words)
-        outcome = here("accept", out, path, *asked)
+        options = ("--actuation", "1000 psi", "-o", tmp_path / "qc", *words)
+        outcome = here("accept", out, path, *options)
         assert outcome.exit_code == 2, words
         assert offender in outcome.stderr
         assert not (tmp_path / "qc").exists()
@@ -193,11 +193,11 @@ def drifting(run):
     design = replace(population.design, dependence={"Fc_fwd": ("date",)}, settings=tuple(tested))
     draws = population.draws
     z = np.insert(draws.z, d, -0.3, axis=-1)
-    other = population.alternatives
-    other = replace(other, z=np.insert(other.z, d, -0.3, axis=-1))
+    alternatives = population.alternatives
+    alternatives = replace(alternatives, z=np.insert(alternatives.z, d, -0.3, axis=-1))
     run = replace(run)
     run.__dict__["population"] = replace(
-        population, design=design, draws=replace(draws, z=z), alternatives=other
+        population, design=design, draws=replace(draws, z=z), alternatives=alternatives
     )
     return run
 
@@ -219,15 +219,15 @@ def test_a_quantity_that_follows_the_date_needs_the_date(run, record):
 
 def test_tests_that_scatter_more_than_the_population_says_widen_the_intervals(run, record):
     entries = dict(run.manifest.tests)
-    for name, by in zip(run.tests, (0.6, 1.5, 0.7, 1.4, 0.6, 1.5) * 9, strict=False):
+    for name, factor in zip(run.tests, (0.6, 1.5, 0.7, 1.4, 0.6, 1.5) * 9, strict=False):
         measured = dict(entries[name].measured)
-        measured["slip_fwd"] = [by * value for value in measured["slip_fwd"]]
+        measured["slip_fwd"] = [factor * value for value in measured["slip_fwd"]]
         entries[name] = entries[name].model_copy(update={"measured": measured})
     wild = replace(run, manifest=run.manifest.model_copy(update={"tests": entries}))
-    (usual,), (wide,) = (mb.accept(one, record, draws=400) for one in (run, wild))
+    (narrow,), (wide,) = (mb.accept(source, record, draws=400) for source in (run, wild))
     widths = [
         float(np.log(d.rows.loc["slip_fwd", "upper"] / d.rows.loc["slip_fwd", "lower"]))
-        for d in (usual, wide)
+        for d in (narrow, wide)
     ]
     assert widths[1] > 2.0 * widths[0]
     assert any("slip force forward" in remark for remark in wide.remarks)

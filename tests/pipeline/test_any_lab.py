@@ -30,9 +30,9 @@ def test_init_and_inspect_read_a_device_of_any_size(tmp_path, device):
     stroke = np.ptp(loaded.tests[-1].read().displacement) * 25.4
     in_mm = {"mm": 1.0, "in": 25.4}[device.length_unit]
     assert stroke == pytest.approx(device.length * in_mm, rel=1e-3)
-    found, records = inspect_campaign(campaign)
+    inspections, records = inspect_campaign(campaign)
     system = system_of_records(records)
-    force, unit = found[0].facts["slip force"].to_text(system).split()[:2]
+    force, unit = inspections[0].facts["slip force"].to_text(system).split()[:2]
     assert unit == system.force
     assert 0.1 < float(force) < 3000.0  # to be read, whatever the device's size
 

@@ -29,8 +29,8 @@ def copied(out, tmp_path):
     return Path(shutil.copytree(out, tmp_path / "copy"))
 
 
-def table_of(out, name, *keys):
-    return pd.read_csv(out / name, comment="#").set_index([*keys])
+def table_of(folder, name, *keys):
+    return pd.read_csv(folder / name, comment="#").set_index([*keys])
 
 
 # --- what is printed, and what is found
@@ -49,10 +49,10 @@ def test_calibrate_says_what_it_does_and_where_to_look(finished_run):
 
 def test_the_posterior_finds_the_truth(finished_run, run):
     for test in TESTS:
-        known, draws = finished_run.truth["tests"][test], run.tests[test].draws
-        gap = (draws["d2"] + draws["d3"]).to_numpy(), known["d2"] + known["d3"]
+        expected, draws = finished_run.truth["tests"][test], run.tests[test].draws
+        gap = (draws["d2"] + draws["d3"]).to_numpy(), expected["d2"] + expected["d3"]
         names = ("k3", "Fc_fwd", "Fc_bwd", "ell")
-        for sample, truth in (gap, *((draws[name].to_numpy(), known[name]) for name in names)):
+        for sample, truth in (gap, *((draws[name].to_numpy(), expected[name]) for name in names)):
             assert np.median(sample) == pytest.approx(truth, abs=4 * np.std(sample))
             assert np.median(sample) == pytest.approx(truth, rel=0.15)
             assert np.std(sample) < 0.15 * truth
@@ -82,11 +82,11 @@ def test_laws_and_scatter_find_the_truth(finished_run, out, run):
 
 
 def test_the_held_out_test_is_covered_and_was_not_fitted(out, run):
-    held = table_of(out, "scores.csv", "test").loc[HELD_OUT]
-    assert held["role"] == "validate"
-    assert held["coverage_95"] > 0.8
-    assert held["rrse"] < 0.25
-    assert held["width_95_kip"] < 1.5  # of a force of 4 kip from peak to peak
+    scores = table_of(out, "scores.csv", "test").loc[HELD_OUT]
+    assert scores["role"] == "validate"
+    assert scores["coverage_95"] > 0.8
+    assert scores["rrse"] < 0.25
+    assert scores["width_95_kip"] < 1.5  # of a force of 4 kip from peak to peak
     assert (set(run.tests), set(run.held_out)) == (set(TESTS), {HELD_OUT})
     assert not (out / "tests" / HELD_OUT / "posterior.nc").exists()
 
@@ -101,9 +101,9 @@ def test_what_derives_from_the_force_is_what_was_measured(finished_run, out):
             assert row["q2.5"] < row["q50"] < row["q97.5"]
             assert row["note"].startswith("over 1 full cycle")
     for test in TESTS:
-        known, pressure = finished_run.truth["tests"][test], float(test[1:].split("_")[0]) / 1000
+        truth, pressure = finished_run.truth["tests"][test], float(test[1:].split("_")[0]) / 1000
         for side in ("fwd", "bwd"):
-            row, value = table.loc[test].loc[f"C_{side}"], known[f"Fc_{side}"] / (pressure * AREA)
+            row, value = table.loc[test].loc[f"C_{side}"], truth[f"Fc_{side}"] / (pressure * AREA)
             assert row["q50"] == pytest.approx(value, abs=4 * row["sd"])
 
 
@@ -165,19 +165,19 @@ def test_the_kinds_of_prediction_are_nested_and_the_device_is_the_law_everywhere
             assert np.all(np.isfinite(band.draws))
         assert [band.kind for band in bands] == ["mean", "new_test", "observation"]
         assert [*map(width, bands)] == sorted(map(width, bands))
-    at, near = (predicted(run, p, kind="mean") for p in (1.0, 1.02))
-    assert at.source == near.source == "population laws"
-    assert width(near) == pytest.approx(width(at), rel=0.3)
+    tested, neighbour = (predicted(run, p, kind="mean") for p in (1.0, 1.02))
+    assert tested.source == neighbour.source == "population laws"
+    assert width(neighbour) == pytest.approx(width(tested), rel=0.3)
 
 
 def test_a_prediction_of_this_very_test_has_its_draws_and_is_narrower(run):
-    own, scattered = (
+    conditional, scattered = (
         predicted(run, 1.0, kind="this_test", test=TESTS[1]),
         predicted(run, 1.0, kind="new_test"),
     )
     draws = run.tests[TESTS[1]].draws["Fc_fwd"].to_numpy()
-    assert np.all(np.isin(np.round(own.values["Fc_fwd"], 9), np.round(draws, 9)))
-    assert width(own) < 0.6 * width(scattered)
+    assert np.all(np.isin(np.round(conditional.values["Fc_fwd"], 9), np.round(draws, 9)))
+    assert width(conditional) < 0.6 * width(scattered)
 
 
 # --- report and check
@@ -187,12 +187,12 @@ def test_a_prediction_of_this_very_test_has_its_draws_and_is_narrower(run):
 def test_a_report_is_made_again_without_sampling_with_more_conditions(copied):
     assert "--at: " in refusal("report", copied, "--at", "700 lbf, 1 in, 0.5 Hz")
     stored = copied / "tests" / TESTS[0] / "posterior.nc"
-    before = stored.stat().st_mtime_ns
+    mtime = stored.stat().st_mtime_ns
     tables = {n: (copied / n).read_bytes() for n in ("parameters.csv", "laws.csv", "checks.csv")}
     (copied / "report.html").unlink()
     shutil.rmtree(copied / "figures")
-    asked = ("--at", "700 psi, 1 in, 0.5 Hz", "--at", "1 ksi, 20 mm, 0.2 Hz")
-    outcome = here("report", copied, *asked, "--quiet")
+    conditions = ("--at", "700 psi, 1 in, 0.5 Hz", "--at", "1 ksi, 20 mm, 0.2 Hz")
+    outcome = here("report", copied, *conditions, "--quiet")
     assert outcome.exit_code == 0, outcome.output
     table = pd.read_csv(copied / "datasheet.csv")
     added = table[table["tested"] == "no"].drop_duplicates("condition")
@@ -204,7 +204,7 @@ def test_a_report_is_made_again_without_sampling_with_more_conditions(copied):
         assert 'data-value="0.7" data-unit="actuation in ksi"' in (copied / name).read_text()
     assert list((copied / "figures").glob("*.png"))
     assert {name: (copied / name).read_bytes() for name in tables} == tables
-    assert stored.stat().st_mtime_ns == before
+    assert stored.stat().st_mtime_ns == mtime
 
 
 def test_check_exits_by_the_verdict(out, copied):
@@ -247,32 +247,32 @@ def test_every_level_is_predicted_from_the_others_and_nothing_sampled_twice(
     assert (table[["width_ratio", "crps_ratio"]] > 1).all(axis=None)
     assert (table["interval_score_95_kip"] >= table["width_95_kip"] * 0.999).all()
     assert (table["rrse"] < 0.6).all()
-    before = (copied / "manifest.json").read_bytes()
+    content = (copied / "manifest.json").read_bytes()
     assert "--resume" in refusal(*words[:-1])
-    assert (copied / "manifest.json").read_bytes() == before
+    assert (copied / "manifest.json").read_bytes() == content
 
 
 def test_resuming_a_finished_run_keeps_its_draws(finished_run, copied):
     files = [copied / "tests" / test / "posterior.nc" for test in TESTS]
-    before = [file.stat().st_mtime_ns for file in files]
+    state = [file.stat().st_mtime_ns for file in files]
     steps = []
     plan = plan_campaign(finished_run.campaign, RunOptions(effort="quick", resume=True))
     assert calibrate(plan, copied, steps.append).manifest.status == "finished"
     assert [(step.id, step.stage) for step in steps] == [(test, "kept") for test in TESTS]
-    assert [file.stat().st_mtime_ns for file in files] == before
+    assert [file.stat().st_mtime_ns for file in files] == state
     assert set(mb.open_run(copied).tests) == set(TESTS)
-    before = (copied / "manifest.json").read_bytes()
+    state = (copied / "manifest.json").read_bytes()
     again = ("calibrate", finished_run.campaign, "-o", copied, "--effort", "quick")
     assert re.search("--resume.*--force", refusal(*again))
     assert "seed" in refusal(*again, "--resume", "--seed", 2)
-    assert (copied / "manifest.json").read_bytes() == before
+    assert (copied / "manifest.json").read_bytes() == state
 
 
 def test_a_tests_seed_does_not_depend_on_its_neighbours(finished_run, tmp_path):
     folder = shutil.copytree(finished_run.campaign.parent, tmp_path / "campaign")
     head, *entries = (folder / "campaign.toml").read_text().split("[[test]]")
     (folder / "less.toml").write_text(f"{head}[[test]]{entries[2]}")
-    whole = plan_campaign(folder / "campaign.toml", RunOptions()).tasks
-    (alone,) = plan_campaign(folder / "less.toml", RunOptions()).tasks
-    assert (alone.id, alone.seed) == (whole[2].id, whole[2].seed)
-    assert len({task.seed for task in whole}) == 3
+    tasks = plan_campaign(folder / "campaign.toml", RunOptions()).tasks
+    (single,) = plan_campaign(folder / "less.toml", RunOptions()).tasks
+    assert (single.id, single.seed) == (tasks[2].id, tasks[2].seed)
+    assert len({task.seed for task in tasks}) == 3

@@ -24,7 +24,7 @@ LIMIT = 600.0  # s, far more than any command here takes
 
 
 def processes_of(session):
-    found = {}
+    processes = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             state, parent, _, leader = stat.read_text().rpartition(")")[2].split()[:4]
@@ -32,16 +32,16 @@ def processes_of(session):
         except OSError:  # it has ended
             continue
         if int(leader) == session and state != "Z":
-            found[int(stat.parent.name)] = int(parent), line
-    return found
+            processes[int(stat.parent.name)] = int(parent), line
+    return processes
 
 
 class Process:
     """A command as a process in a session of its own; at the end nothing of it is alive."""
 
-    def __init__(self, out, *words):
+    def __init__(self, path, *words):
         self.words = [*map(str, words)]
-        self.printed, self.complaint = (out.parents[1] / name for name in ("printed", "complaint"))
+        self.printed, self.complaint = (path.parents[1] / name for name in ("printed", "complaint"))
 
     def __enter__(self):
         environment = os.environ | {"PYTHONUNBUFFERED": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -67,15 +67,15 @@ class Process:
 
     def workers(self):
         """Processes that do its jobs: forked from a server of processes, or started anew."""
-        found = processes_of(self.process.pid)
-        servers = {pid for pid, (_, line) in found.items() if "multiprocessing.forkserver" in line}
-        return [p for p, (parent, line) in found.items() if parent in servers or "_main(" in line]
+        tree = processes_of(self.process.pid)
+        servers = {pid for pid, (_, line) in tree.items() if "multiprocessing.forkserver" in line}
+        return [p for p, (parent, line) in tree.items() if parent in servers or "_main(" in line]
 
     def end(self):
         """Exit code and messages, once the command and all that it has started have ended."""
         code = self.process.wait(timeout=LIMIT)
-        until = time.monotonic() + 15
-        while processes_of(self.process.pid) and time.monotonic() < until:
+        deadline = time.monotonic() + 15
+        while processes_of(self.process.pid) and time.monotonic() < deadline:
             time.sleep(0.05)
         assert not processes_of(self.process.pid)
         complaint = self.complaint.read_text()
@@ -97,17 +97,17 @@ def campaign(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def start(campaign, without_figures):
     words = (*without_figures, "calibrate", campaign, "--effort", "quick", "-o")
-    return lambda out, *options: Process(out, *words, out, *options)
+    return lambda folder, *options: Process(folder, *words, folder, *options)
 
 
 @pytest.fixture(scope="module")
 def whole(start, tmp_path_factory) -> Path:
     """Folder of the run that nothing disturbs."""
-    out = tmp_path_factory.mktemp("whole") / "disk" / "out"
-    out.parent.mkdir()
-    with start(out, "--jobs", 2) as run:
+    folder = tmp_path_factory.mktemp("whole") / "disk" / "out"
+    folder.parent.mkdir()
+    with start(folder, "--jobs", 2) as run:
         assert run.end() == (0, "")
-    return out
+    return folder
 
 
 @pytest.fixture
@@ -116,12 +116,12 @@ def out(tmp_path):
     return tmp_path / "disk" / "out"
 
 
-def assert_finished(start, out, whole, *options):
+def assert_finished(start, folder, reference, *options):
     """Assert that a resumed run ends well, with the same files, to the bit."""
-    with start(out, "--resume", *options) as run:
+    with start(folder, "--resume", *options) as run:
         assert run.end() == (0, "")
-    assert files(out) == files(whole)
-    assert differing(out, whole) == []
+    assert files(folder) == files(reference)
+    assert differing(folder, reference) == []
 
 
 # --- killed

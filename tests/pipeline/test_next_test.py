@@ -41,10 +41,10 @@ def test_it_advises_and_writes_table_json_picture_and_draft(words, copied, tmp_p
     assert table["expected_reduction"].is_monotonic_decreasing
     repeats = table.set_index("actuation_psi")["repeats_a_test"].to_dict()
     assert repeats == {1000.0: "yes", 1900.0: "no"}
-    found = json.loads((copied / "next.json").read_text())
-    assert found["sentence"] in outcome.stdout.replace("\n", " ")
-    assert [point["tests"] for point in found["curve"]] == list(range(7))
-    assert found["curve"][0]["expected_width"] == pytest.approx(found["width_now"])
+    summary = json.loads((copied / "next.json").read_text())
+    assert summary["sentence"] in outcome.stdout.replace("\n", " ")
+    assert [point["tests"] for point in summary["curve"]] == list(range(7))
+    assert summary["curve"][0]["expected_width"] == pytest.approx(summary["width_now"])
     assert (copied / "next.png").read_bytes().startswith(b"\x89PNG")
     entries = tomllib.loads(draft.read_text())["test"]
     assert len(entries) == 2
@@ -71,32 +71,32 @@ def test_candidates_of_a_file_within_limits_in_metric_units(words, copied, tmp_p
 
 
 def test_mistakes_end_in_one_sentence(words, tmp_path):
-    other, empty = tmp_path / "other.toml", tmp_path / "empty.txt"
-    other.write_text("x = 1\n")
+    existing, empty = tmp_path / "other.toml", tmp_path / "empty.txt"
+    existing.write_text("x = 1\n")
     empty.write_text("# nothing\n")
     for options, offender in (
         (("--goal", "bend"), "unknown quantity 'bend'; did you mean 'band'?"),
         (("--limits", "0.01 in"), "forbid every candidate"),
         (("-o", tmp_path / "a.png"), "must not end in .png"),
-        (("--write", other), "other.toml exists: give another name, or --force"),
+        (("--write", existing), "other.toml exists: give another name, or --force"),
         (("--candidates", empty), "has no test"),
         (("--tests", 2), "give --write too"),
     ):
         assert offender in refusal(*words(*options))
-    assert other.read_text() == "x = 1\n"
+    assert existing.read_text() == "x = 1\n"
     assert "manifest" in refusal("next", tmp_path)
 
 
 def test_the_goal_of_the_campaign_file_is_taken(copied, tmp_path):
-    changed = shutil.copytree(copied, tmp_path / "out")
-    manifest = json.loads((changed / "manifest.json").read_text())
+    folder = shutil.copytree(copied, tmp_path / "out")
+    manifest = json.loads((folder / "manifest.json").read_text())
     manifest["settings"] |= tomllib.loads(GOAL)  # as a campaign with this goal is stored
-    (changed / "manifest.json").write_text(json.dumps(manifest))
-    advice = mb.open_run(changed).next_test(draws=300)
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    advice = mb.open_run(folder).next_test(draws=300)
     assert (advice.goal.quantity, advice.unit) == ("energy", "kip*in")
     assert sorted(row.candidate.actuation for row in advice) == [0.5, 1.0]
-    given = mb.open_run(changed).next_test(goal="band at 500 psi", draws=300)
-    assert (given.goal.quantity, len(given)) == ("band", 2)
+    explicit = mb.open_run(folder).next_test(goal="band at 500 psi", draws=300)
+    assert (explicit.goal.quantity, len(explicit)) == ("band", 2)
 
 
 def test_a_bad_goal_is_found_when_the_campaign_is_read(finished_run, tmp_path):
@@ -105,11 +105,11 @@ def test_a_bad_goal_is_found_when_the_campaign_is_read(finished_run, tmp_path):
     text = path.read_text()
     path.write_text(text + GOAL)
     assert load_campaign(path).tests  # the control
-    for old, new, words in (
+    for target, replacement, words in (
         ('"energy"', '"energie"', "goal.quantity in {}: unknown quantity 'energie'"),
         ("limits", 'session = "2023"\nlimits', "goal.session in {}: no calibrated test has"),
     ):
-        path.write_text(text + GOAL.replace(old, new))
+        path.write_text(text + GOAL.replace(target, replacement))
         with pytest.raises(CampaignError) as caught:
             load_campaign(path)
         assert words.format(path) in str(caught.value)

@@ -102,52 +102,52 @@ def test_a_record_without_time_is_fitted_and_the_truth_is_inside(finished):
 
 
 def test_tables_and_pages_speak_of_stress_in_the_unit_of_the_records(finished):
-    out = finished[0] / "out"
-    record = pd.read_csv(out / "tests" / "bar1" / "record.csv")
+    run_folder = finished[0] / "out"
+    record = pd.read_csv(run_folder / "tests" / "bar1" / "record.csv")
     assert list(record.columns[:3]) == ["sample", "strain_%", "stress_ksi"]
-    given = pd.read_csv(finished[0] / "bar1.csv")
-    np.testing.assert_allclose(record["strain_%"], given["eps"], rtol=1e-4)
-    np.testing.assert_allclose(record["stress_ksi"], given["sig_ksi"], rtol=1e-4)
-    units = pd.read_csv(out / "parameters.csv").groupby("parameter")["unit"].first()
+    data = pd.read_csv(finished[0] / "bar1.csv")
+    np.testing.assert_allclose(record["strain_%"], data["eps"], rtol=1e-4)
+    np.testing.assert_allclose(record["stress_ksi"], data["sig_ksi"], rtol=1e-4)
+    units = pd.read_csv(run_folder / "parameters.csv").groupby("parameter")["unit"].first()
     assert units[["E", "strength", "offset"]].tolist() == ["GPa", "ksi", "ksi"]
-    for path in [*out.glob("*.csv"), *out.glob("tests/*/*.csv")]:
+    for path in [*run_folder.glob("*.csv"), *run_folder.glob("tests/*/*.csv")]:
         assert not re.search(NOT_ITS_WORDS, path.read_text().replace("_", " ")), path.name
-    for path in [*out.glob("*.html"), *out.glob("tests/*/*.html")]:
+    for path in [*run_folder.glob("*.html"), *run_folder.glob("tests/*/*.html")]:
         page = re.sub(r"<(script|style).*?</\1>|<[^>]*>", " ", path.read_text(), flags=re.DOTALL)
         assert "stress" in page
         assert not re.search(r"(?i)\b(forces?|displacement|kip|kN|Hz|velocity)\b", page)
-    derived = set(pd.read_csv(out / "derived.csv")["quantity"])
+    derived = set(pd.read_csv(run_folder / "derived.csv")["quantity"])
     assert {"peak_fwd", "energy_per_cycle"} <= derived
-    medians = pd.read_csv(out / "laws.csv").set_index("constant")["q50"]
+    medians = pd.read_csv(run_folder / "laws.csv").set_index("constant")["q50"]
     assert abs(medians["E"] - 200.0) < 20.0  # GPa, of the population
     assert not derived & {"slip_fwd", "c_eq", "gap", "build_up_slope"}
 
 
 def test_every_command_takes_it(finished, tmp_path):
-    folder, out = finished[0], finished[0] / "out"
+    folder, run_dir = finished[0], finished[0] / "out"
     look = said("inspect", folder / "all.toml", "-o", tmp_path)
     assert "strain: eps [%], stress: sig_ksi [ksi]" in look
     assert not re.search(NOT_ITS_WORDS, look)
-    said("check", out)
-    said("export", out, "--to", "quofem", "-o", tmp_path / "samples")
-    about = json.loads((tmp_path / "samples" / "about.json").read_text())
-    assert "actuation" not in about
-    assert about["variables"] == {"E": "GPa", "strength": "MPa"}
+    said("check", run_dir)
+    said("export", run_dir, "--to", "quofem", "-o", tmp_path / "samples")
+    metadata = json.loads((tmp_path / "samples" / "about.json").read_text())
+    assert "actuation" not in metadata
+    assert metadata["variables"] == {"E": "GPa", "strength": "MPa"}
     assert not (tmp_path / "samples" / "start.txt").exists()
-    plain = ("--no-figures", "-o", tmp_path / "sine.csv", "--force")
-    sine = ("predict", out, "--sine", "1 %, 3 cycles", *plain)
+    options = ("--no-figures", "-o", tmp_path / "sine.csv", "--force")
+    sine = ("predict", run_dir, "--sine", "1 %, 3 cycles", *options)
     words = said(*sine, "--session", "other")
     assert "of the device without offset" in words
     assert "session 'other' is taken for a new one" in words
     assert not re.search(r"\b(damper|laws|load cell)\b", words)
     assert "peak_fwd" in said(*sine, "--design")
     assert "sample,strain_%,lower_ksi" in (tmp_path / "sine.csv").read_text()
-    assert "ksi" in said("predict", out, "--motion", folder / "bar3.csv", "--compare", *plain)
-    assert "narrow" in said("next", out, "-o", tmp_path / "next.csv")
+    assert "ksi" in said("predict", run_dir, "--motion", folder / "bar3.csv", "--compare", *options)
+    assert "narrow" in said("next", run_dir, "-o", tmp_path / "next.csv")
     assert "Hz" not in (tmp_path / "next.csv").read_text()
     assert "--actuation" in refusal(*sine, "--actuation", "5 psi")
-    assert "strain" in refusal("predict", out, "--sine", "1 in, 3 cycles", *plain)
-    ended = said("accept", out, folder / "bar4.csv", "-o", tmp_path / "qc")
+    assert "strain" in refusal("predict", run_dir, "--sine", "1 in, 3 cycles", *options)
+    ended = said("accept", run_dir, folder / "bar4.csv", "-o", tmp_path / "qc")
     names = pd.read_csv(tmp_path / "qc" / "acceptance.csv", comment="#")["name"].tolist()
     assert "peak_fwd" in names
     assert not [name for name in names if name.startswith(("slip", "gap", "build_up"))]
@@ -169,11 +169,11 @@ FAULTS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("file", "old", "new", "words"), FAULTS)
-def test_what_does_not_fit_is_one_sentence(folder, tmp_path, file, old, new, words):
+@pytest.mark.parametrize(("file", "target", "replacement", "words"), FAULTS)
+def test_what_does_not_fit_is_one_sentence(folder, tmp_path, file, target, replacement, words):
     text = (folder / file).read_text()
-    assert old in text
-    (folder / file).write_text(text.replace(old, new, 1))
+    assert target in text
+    (folder / file).write_text(text.replace(target, replacement, 1))
     sentence = refusal("calibrate", folder / "all.toml", "-o", tmp_path / "out")
     assert all(word in sentence for word in words)
     assert not (tmp_path / "out").exists()

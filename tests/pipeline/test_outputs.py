@@ -35,10 +35,10 @@ def home(small_run, tmp_path):
     return tmp_path
 
 
-def refused(home, words, *command):
-    before = contents(home)
+def refused(folder, words, *command):
+    snapshot = contents(folder)
     assert words in refusal(*command)
-    assert contents(home) == before
+    assert contents(folder) == snapshot
 
 
 # --- predictions
@@ -51,22 +51,22 @@ def test_a_prediction_is_not_written_over_inputs_or_a_run(home):
         ("out/population.nc", "m.csv", "is a file of the run"),
         ("mine.csv/b.csv", "m.csv", "b.csv"),
     ]:
-        asked = ("--motion", home / motion, "--actuation", "500 psi", "--no-figures", "--force")
-        refused(home, words, "predict", home / "out", *asked, "-o", home / bands)
-    before = contents(home)
+        options = ("--motion", home / motion, "--actuation", "500 psi", "--no-figures", "--force")
+        refused(home, words, "predict", home / "out", *options, "-o", home / bands)
+    snapshot = contents(home)
     said("predict", home / "out", *SINE, "-o", home / "out/manifest")  # loses nothing
-    assert before.items() <= contents(home).items()
+    assert snapshot.items() <= contents(home).items()
 
 
 def test_a_prediction_is_not_written_over_what_is_no_file(home):
-    place = home / "there" / "band_design.csv"
-    place.parent.mkdir()
-    asked = (*SINE, "--design", "--force", "-o", home / "there/band.csv")
-    os.mkfifo(place)
-    refused(home, "a device or a pipe", "predict", home / "out", *asked)
-    place.unlink()
-    place.symlink_to(home / "mine.csv")
-    refused(home, "link out of its folder", "predict", home / "out", *asked)
+    path = home / "there" / "band_design.csv"
+    path.parent.mkdir()
+    options = (*SINE, "--design", "--force", "-o", home / "there/band.csv")
+    os.mkfifo(path)
+    refused(home, "a device or a pipe", "predict", home / "out", *options)
+    path.unlink()
+    path.symlink_to(home / "mine.csv")
+    refused(home, "link out of its folder", "predict", home / "out", *options)
 
 
 @pytest.mark.usefixtures("small_pictures")
@@ -91,7 +91,7 @@ def test_a_file_that_exists_is_replaced_only_by_force(home):
 
 def test_an_empty_text_is_no_value_of_an_option_and_no_path(home, monkeypatch):
     monkeypatch.chdir(home)
-    before = contents(home)
+    snapshot = contents(home)
     for words in [
         ("calibrate", "campaign.toml", "-o", ""),
         ("demo", ""),
@@ -111,7 +111,7 @@ def test_an_empty_text_is_no_value_of_an_option_and_no_path(home, monkeypatch):
         ("next", "out", "--goal", ""),
     ]:
         assert "got an empty text" in said(*words, code=2)
-        assert contents(home) == before
+        assert contents(home) == snapshot
 
 
 # --- runs
@@ -134,14 +134,14 @@ def test_a_folder_that_cannot_be_used_is_refused_and_kept(home):
     (home / "other").mkdir()
     (home / "other" / "thesis.tex").write_text("x")
     run = ("calibrate", home / "campaign.toml")
-    for out, options, words in [
+    for target, options, words in [
         (".", ("--dry-run",), "exists: give --resume to finish it or --force"),
         ("out", ("--dry-run", "--resume", "--force"), "give either --resume or --force"),
         ("other", ("--resume",), "give another folder by -o"),
         ("other", ("--force",), "exists and"),
         ("mine.csv", ("--force",), "mine.csv"),
     ]:
-        refused(home, words, *run, "-o", home / out, *options)
+        refused(home, words, *run, "-o", home / target, *options)
     assert "would calibrate p500 (" in said(*run, "--dry-run")  # which needs no folder
     assert "-o: missing: give the run folder to write" in said(*run, code=2)
 
@@ -160,8 +160,8 @@ def test_an_earlier_response_goes_and_what_is_anothers_stays(home, monkeypatch):
     (home / "b.toml").write_text(f"[building]\n{storey}")
     names = ("time_s", "acceleration_in/s^2")
     write_csv(home / "g.csv", TIME[:50], 100.0 * np.sin(10 * TIME[:50]), names=names)
-    out = (home / "out").rename(home / "brake 7")
-    monkeypatch.chdir(out)  # whose name the page says all the same
+    run_folder = (home / "out").rename(home / "brake 7")
+    monkeypatch.chdir(run_folder)  # whose name the page says all the same
     words = ("respond", ".", "--building", "../b.toml", "--ground", "../g.csv", "--force")
     said(*words, "-o", folder, "--draws", "10", "--jobs", "1")
     written = {path.name for path in folder.iterdir()}
@@ -176,14 +176,14 @@ def test_an_earlier_response_goes_and_what_is_anothers_stays(home, monkeypatch):
 @pytest.fixture
 def samples(small_run, tmp_path):
     """A folder with samples in columns, with materials, and with files of someone else."""
-    found = tmp_path / "samples"
-    export(ExportOptions(small_run, "quofem", found, "700 psi", 10))
-    about = json.loads((found / "about.json").read_text())
+    folder = tmp_path / "samples"
+    export(ExportOptions(small_run, "quofem", folder, "700 psi", 10))
+    metadata = json.loads((folder / "about.json").read_text())
     fits = {"misfit": {"BoucWen": [0.1], "../mine": [0.1]}, "best": "BoucWen"}
-    (found / "about.json").write_text(json.dumps(about | fits))
+    (folder / "about.json").write_text(json.dumps(metadata | fits))
     for name in ("BoucWen.tcl", "mine.txt", "../mine.tcl"):
-        (found / name).write_text("mine")
-    return found
+        (folder / name).write_text("mine")
+    return folder
 
 
 def names(folder):
@@ -191,21 +191,21 @@ def names(folder):
 
 
 def test_samples_of_another_actuation_do_not_stay_beside_new_ones(small_run, samples):
-    before = names(samples)
+    listing = names(samples)
     quofem = {"randomVariables.json", "dakotaTab.out", "sigma0.txt"}
-    assert before >= {*quofem, "BoucWen.tcl"}
-    assert "start.txt" not in before  # the model has no gap
+    assert listing >= {*quofem, "BoucWen.tcl"}
+    assert "start.txt" not in listing  # the model has no gap
     export(
         ExportOptions(small_run, "csv", samples, "700 psi", 10, force=True)
     )  # another form of the same
-    assert names(samples) == before | {"samples.csv"}
+    assert names(samples) == listing | {"samples.csv"}
     assert json.loads((samples / "about.json").read_text())["best"] == "BoucWen"
     export(ExportOptions(small_run, "csv", samples, "800 psi", 10, force=True))
     assert names(samples) == {"samples.csv", "about.json", "mine.txt"}
     assert (samples.parent / "mine.tcl").is_file()
-    about = json.loads((samples / "about.json").read_text())
-    assert about["actuation"] == {"value": 0.8, "unit": "ksi"}
-    assert "misfit" not in about
+    metadata = json.loads((samples / "about.json").read_text())
+    assert metadata["actuation"] == {"value": 0.8, "unit": "ksi"}
+    assert "misfit" not in metadata
 
 
 def test_an_actuation_outside_is_warned_of_and_one_far_outside_refused(small_run, samples):

@@ -105,65 +105,65 @@ def written(folder):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """A run whose campaign is gone, in another place than where it was computed; what was said."""
-    home = tmp_path_factory.mktemp("own")
-    campaign, out = written(home / "campaign"), home / "out"
+    base = tmp_path_factory.mktemp("own")
+    campaign, run_folder = written(base / "campaign"), base / "out"
     with pytest.MonkeyPatch.context() as patch:
         for name in ("draw_shared", "draw_test"):
             patch.setattr(f"mfd_bayes.reporting.figures.{name}", lambda *_: iter(()))
         quick = ("--effort", "quick", "--jobs", 2)
-        words = said("calibrate", campaign / "all.toml", "-o", out, *quick)
+        words = said("calibrate", campaign / "all.toml", "-o", run_folder, *quick)
     shutil.rmtree(campaign)
     moved = tmp_path_factory.mktemp("moved") / "run"
-    shutil.move(out, moved)
+    shutil.move(run_folder, moved)
     return moved, words
 
 
 def test_its_file_is_said_to_be_run_and_the_truth_is_inside(finished):
-    out, words = finished
+    run_folder, words = finished
     assert words.count("runs my_damper.py") == 1
     assert "lag" not in words  # a force that follows the speed is what this model describes
-    run = mb.open_run(out)
+    run = mb.open_run(run_folder)
     for name, truth in {"alpha": TRUTH["alpha"], "lean": TRUTH["lean"]}.items():
         for test in run.tests.values():
             middle, low, high = test.intervals[name]
             assert abs(truth - middle) < 2.0 * (high - low), name
-    drawn = run.population.median("c", [AT * 1e-3]).ravel()
-    assert np.quantile(drawn, 0.01) < TRUTH["c"] < np.quantile(drawn, 0.99)
+    median = run.population.median("c", [AT * 1e-3]).ravel()
+    assert np.quantile(median, 0.01) < TRUTH["c"] < np.quantile(median, 0.99)
     time, x, speed = motion(0.4)
     band = run.predict(mb.Trace.from_arrays(time, x, 0.75, velocity=speed), draws=200)
-    inside = (band.lower <= force(AT, speed)) & (force(AT, speed) <= band.upper)
-    assert inside.mean() > 0.9
+    covered = (band.lower <= force(AT, speed)) & (force(AT, speed) <= band.upper)
+    assert covered.mean() > 0.9
 
 
 def test_its_units_and_words_are_in_the_tables_and_the_report(finished):
-    out, _ = finished
-    parameters = pd.read_csv(out / "parameters.csv").groupby("parameter")["unit"].unique()
+    run_folder, _ = finished
+    parameters = pd.read_csv(run_folder / "parameters.csv").groupby("parameter")["unit"].unique()
     assert parameters["c"].tolist() == ["kip"]
     assert "gamma1" not in parameters
-    units = pd.read_csv(out / "laws.csv").set_index("constant")["unit"]
+    units = pd.read_csv(run_folder / "laws.csv").set_index("constant")["unit"]
     assert units[["c", "scatter_c", "scatter_lean"]].tolist() == ["kip", "1", "kip"]
-    page = (out / "report.html").read_text()
+    page = (run_folder / "report.html").read_text()
     assert "force at 1 in/s" in page
     assert "Bouc" not in page
 
 
 def test_every_command_takes_its_run(finished, tmp_path):
-    out, _ = finished
-    said("check", out)
+    run_dir, _ = finished
+    said("check", run_dir)
     words = ("--sine", "1 in, 0.5 Hz, 3 cycles", "--actuation", "800 psi", "--no-figures")
-    assert "mean property" in said("predict", out, *words, "--design", "-o", tmp_path / "b.csv")
-    few = ("--candidates", "800 psi, 0.5 Hz, 1 in", "--draws", 200)
-    slope = said("next", out, *few, "--goal", "slope of c", "-o", tmp_path / "slope")
+    assert "mean property" in said("predict", run_dir, *words, "--design", "-o", tmp_path / "b.csv")
+    options = ("--candidates", "800 psi, 0.5 Hz, 1 in", "--draws", 200)
+    slope = said("next", run_dir, *options, "--goal", "slope of c", "-o", tmp_path / "slope")
     assert "narrow the 95 % interval of the slope of c" in slope
-    assert "no slip force" in said("next", out, "--goal", "slip at 800 psi", code=2)
-    assert "they are c, " in said("next", out, "--goal", "slope of alpha", code=2)
-    said("export", out, "--to", "csv", "-o", tmp_path / "samples")
+    assert "no slip force" in said("next", run_dir, "--goal", "slip at 800 psi", code=2)
+    assert "they are c, " in said("next", run_dir, "--goal", "slope of alpha", code=2)
+    said("export", run_dir, "--to", "csv", "-o", tmp_path / "samples")
     (tmp_path / "b.toml").write_text(BUILDING)
     time = np.arange(40) / 20
     names = ("time_s", "acceleration_in/s^2")
     write_csv(tmp_path / "g.csv", time, 100.0 * np.sin(10 * time), names=names)
     building = ("--building", tmp_path / "b.toml", "--ground", tmp_path / "g.csv")
-    words = said("respond", out, *building, "--draws", 10, "--jobs", 1, "-o", tmp_path / "r")
+    words = said("respond", run_dir, *building, "--draws", 10, "--jobs", 1, "-o", tmp_path / "r")
     assert "storey drift" in words
 
 
@@ -194,8 +194,8 @@ def test_init_drafts_its_priors_once_the_units_are_known(tmp_path):
         time, x, speed = motion(frequency)
         newtons = 800.0 * np.tanh(10 * speed)
         np.savetxt(tmp_path / name, np.column_stack([time, 25.0 * x, newtons]))
-    own = ("--model", "my_damper.py:Viscous")
-    words = said("init", tmp_path, *own)
+    model_option = ("--model", "my_damper.py:Viscous")
+    words = said("init", tmp_path, *model_option)
     assert "the unit of force is unknown" in words
     assert "Hz, but" not in words  # an x between digits is a decimal point
     assert "init" in words.partition("then:")[2]
@@ -206,7 +206,7 @@ def test_init_drafts_its_priors_once_the_units_are_known(tmp_path):
     assert 'actuation = "1 A"' in text
     text = text.replace("{ column = 2 }", '{ column = 2, unit = "mm" }')
     campaign.write_text(text.replace("{ column = 3 }", '{ column = 3, unit = "N" }'))
-    for model in ((), own):
+    for model in ((), model_option):
         said("init", campaign, *model, "--force")
         drafted = tomllib.loads((tmp_path / "priors.toml").read_text())
         assert set(drafted["parameters"]) == {*TRUTH, "offset", "noise_sd", "noise_time"}
@@ -227,12 +227,12 @@ FAULTS = [
 ]
 
 
-@pytest.mark.parametrize(("file", "old", "new", "words"), FAULTS)
-def test_what_cannot_be_used_is_one_sentence(folder, tmp_path, file, old, new, words):
+@pytest.mark.parametrize(("file", "target", "replacement", "words"), FAULTS)
+def test_what_cannot_be_used_is_one_sentence(folder, tmp_path, file, target, replacement, words):
     (tmp_path / "other.py").write_text(VISCOUS)
     text = (folder / file).read_text()
-    assert old in text
-    (folder / file).write_text(text.replace(old, new, 1))
+    assert target in text
+    (folder / file).write_text(text.replace(target, replacement, 1))
     sentence = refusal("calibrate", folder / "all.toml", "-o", tmp_path / "out")
     assert all(word in sentence for word in words)
     assert not (tmp_path / "out").exists()
@@ -247,21 +247,21 @@ Path(__file__).with_name("executed").touch()
 """
 
 
-def hashed(out, **settings):
+def hashed(run_folder, **settings):
     """Write the hashes of a run's files, as they are, and other settings into its manifest."""
-    manifest = json.loads((out / "manifest.json").read_text())
-    manifest["files"] |= hash_stored(out, [*manifest["files"], "model.py"])
+    manifest = json.loads((run_folder / "manifest.json").read_text())
+    manifest["files"] |= hash_stored(run_folder, [*manifest["files"], "model.py"])
     manifest["settings"]["campaign"] |= settings
-    (out / "manifest.json").write_text(json.dumps(manifest))
+    (run_folder / "manifest.json").write_text(json.dumps(manifest))
 
 
 @pytest.fixture
 def received(finished, tmp_path):
     """A run whose model is another text than any that was calibrated here."""
-    out = Path(shutil.copytree(finished[0], tmp_path / "received"))
-    (out / "model.py").write_text(CARRIED + VISCOUS)
-    hashed(out)
-    return out
+    run_folder = Path(shutil.copytree(finished[0], tmp_path / "received"))
+    (run_folder / "model.py").write_text(CARRIED + VISCOUS)
+    hashed(run_folder)
+    return run_folder
 
 
 SINE = ("--sine", "1 in, 0.5 Hz, 3 cycles", "--actuation", "800 psi")
@@ -287,8 +287,8 @@ def test_no_command_executes_the_model_of_a_received_run(received, tmp_path, com
     (tmp_path / "g.csv").write_text("time_s,acceleration_g\n0,0\n0.01,0.1\n0.02,-0.1\n")
     places = {"OUT": str(received), "TO/": f"{tmp_path}/"}
     words = [str(word) for word in OPENING[command]]
-    for name, place in places.items():
-        words = [word.replace(name, place) for word in words]
+    for name, path in places.items():
+        words = [word.replace(name, path) for word in words]
     sentence = refusal(command, *words)
     assert "would execute its own model.py" in sentence
     assert "--trust-model" in sentence
@@ -323,19 +323,19 @@ def test_the_run_of_another_user_is_received(finished, monkeypatch, tmp_path):
 
 
 def test_a_run_of_a_built_in_model_does_not_become_a_carrier(small_run, tmp_path):
-    out = Path(shutil.copytree(small_run, tmp_path / "received"))
-    (out / "model.py").write_text(CARRIED)
-    hashed(out, model="any.py:LuGre")
-    assert "would execute its own model.py" in refusal("check", out)
-    assert not (out / "executed").exists()
+    run_folder = Path(shutil.copytree(small_run, tmp_path / "received"))
+    (run_folder / "model.py").write_text(CARRIED)
+    hashed(run_folder, model="any.py:LuGre")
+    assert "would execute its own model.py" in refusal("check", run_folder)
+    assert not (run_folder / "executed").exists()
 
 
 def test_bytecode_beside_a_trusted_model_is_not_executed(finished, tmp_path):
-    out = Path(shutil.copytree(finished[0], tmp_path / "received"))
+    run_folder = Path(shutil.copytree(finished[0], tmp_path / "received"))
     carrier = tmp_path / "carrier.py"
     carrier.write_text(f"open({str(tmp_path / 'executed')!r}, 'w')\n" + VISCOUS)
-    cache = importlib.util.cache_from_source(str(out / "model.py"))
+    cache = importlib.util.cache_from_source(str(run_folder / "model.py"))
     unchecked = py_compile.PycInvalidationMode.UNCHECKED_HASH
     py_compile.compile(str(carrier), cache, invalidation_mode=unchecked)
-    assert mb.open_run(out).model.name == "viscous"
+    assert mb.open_run(run_folder).model.name == "viscous"
     assert not (tmp_path / "executed").exists()

@@ -65,8 +65,8 @@ def test_predict_writes_a_table_and_pictures(ask, table, motion, tmp_path):
         assert text in printed
     columns = ["whole_lower_kip", "lower_kip", "median_kip", "upper_kip", "whole_upper_kip"]
     assert (np.diff(table()[columns].to_numpy(), axis=1) >= 0).all()
-    given = np.interp(table()["time_s"], TIME, np.sin(np.pi * TIME))
-    np.testing.assert_allclose(given, table()["displacement_in"], atol=2e-4)
+    expected = np.interp(table()["time_s"], TIME, np.sin(np.pi * TIME))
+    np.testing.assert_allclose(expected, table()["displacement_in"], atol=2e-4)
     head = (tmp_path / "bands.csv").read_text().splitlines()[0]
     assert re.match("#.*95 %.*new_test", head)
     for picture in ("bands.png", "bands_history.png"):
@@ -92,12 +92,12 @@ def test_a_harmonic_motion_needs_no_file_and_starts_without_a_jump(ask, table):
 
 def test_with_another_run_both_give_half_of_the_draws(ask, table, out, tmp_path):
     """Here both are the same run under two noises, so that the band is about the same."""
-    other = Path(shutil.copytree(out, tmp_path / "other"))
-    text = (other / "manifest.json").read_text()
-    (other / "manifest.json").write_text(text.replace('"noise": "ou"', '"noise": "iid"'))
+    second_run = Path(shutil.copytree(out, tmp_path / "other"))
+    text = (second_run / "manifest.json").read_text()
+    (second_run / "manifest.json").write_text(text.replace('"noise": "ou"', '"noise": "iid"'))
     widths = []
-    for more in ((), ("--with", other)):
-        printed = ask(*SINE, *more, "--no-figures").stdout
+    for options in ((), ("--with", second_run)):
+        printed = ask(*SINE, *options, "--no-figures").stdout
         widths.append((table()["upper_kip"] - table()["lower_kip"]).mean())
     assert widths[1] == pytest.approx(widths[0], rel=0.15)
     assert "three_stage (ou) and three_stage (iid) in equal parts" in printed
@@ -156,8 +156,8 @@ def test_compare_prints_coverage_and_error_and_keeps_every_measured_sample(
     printed = ask("--motion", motion, "--compare", "--kind", "observation").stdout
     bands, force = table(), np.sign(np.cos(np.pi * TIME))
     np.testing.assert_allclose(bands["force_kip"], force)  # not thinned: TIME has 401 samples
-    inside = (force >= bands["lower_kip"]) & (force <= bands["upper_kip"])
-    share = f"holds {100 * inside.mean():.1f} % of the 401 measured samples"
+    covered = (force >= bands["lower_kip"]) & (force <= bands["upper_kip"])
+    share = f"holds {100 * covered.mean():.1f} % of the 401 measured samples"
     assert share in printed
     assert "RRSE" in printed
     comment = f"# compared: the 95 % band of kind observation {share}"
@@ -174,11 +174,11 @@ def test_a_motion_is_read_by_the_columns_that_init_would_take(ask, table, tmp_pa
     np.testing.assert_allclose(table()["displacement_in"], np.sin(np.pi * TIME), atol=1e-6)
 
 
-def with_rest(source, path, rest, by=1.0):
+def with_rest(source, path, pause, factor=1.0):
     """A record with so many seconds of rest before and after it, and its force times a factor."""
     time, x, force, *_ = pd.read_csv(source).to_numpy().T
-    n = round(rest / (time[1] - time[0]))
-    x, force = np.pad(x, n, "edge"), np.pad(by * force, n, "edge")
+    n = round(pause / (time[1] - time[0]))
+    x, force = np.pad(x, n, "edge"), np.pad(factor * force, n, "edge")
     return write_csv(path, (time[1] - time[0]) * np.arange(x.size), x, force)
 
 
@@ -186,8 +186,8 @@ def with_rest(source, path, rest, by=1.0):
 def test_a_measurement_outside_the_prediction_is_said_and_rest_is_no_success(
     ask, tmp_path, held_out
 ):
-    def compared(rest, by):
-        motion = with_rest(held_out, tmp_path / "m.csv", rest, by)
+    def compared(pause, factor):
+        motion = with_rest(held_out, tmp_path / "m.csv", pause, factor)
         return ask("--motion", motion, "--actuation", "1200 psi", "--compare", *OBSERVATION)
 
     wrong, resting = compared(0.0, 1.5), compared(20.0, 1.5)
@@ -199,7 +199,7 @@ def test_a_measurement_outside_the_prediction_is_said_and_rest_is_no_success(
         assert text in wrong.stderr
     assert "does not agree" not in compared(0.0, 1.0).stderr  # the control
     for words in (r"holds ([\d.]+) % of the", r"([\d.]+) % at full stroke"):
-        short, long = (float(re.search(words, each.stdout)[1]) for each in (wrong, resting))
+        short, long = (float(re.search(words, outcome.stdout)[1]) for outcome in (wrong, resting))
         assert long == pytest.approx(short, abs=3.0)  # 0 kip in 40 s of rest is no success
     assert float(re.search(r"holds ([\d.]+) % of the", wrong.stdout)[1]) < 60.0
 
@@ -216,13 +216,13 @@ def test_the_given_part_is_marked_and_the_rest_narrower(ask, table, run, held_ou
     narrow = table()
     np.testing.assert_array_equal(narrow.given == 1, narrow.time_s <= 1.0)
     assert np.all(narrow.whole_upper_kip >= narrow.upper_kip)
-    rest = narrow.time_s > 1.0
+    tail = narrow.time_s > 1.0
     counted = re.search(r"of the (\d+) measured samples in motion that were not given", printed)
-    assert 0.9 * rest.sum() <= int(counted[1]) <= rest.sum()
+    assert 0.9 * tail.sum() <= int(counted[1]) <= tail.sum()
     trace = mb.read_record(held_out).trace()
-    before = run.predict(mb.Trace.from_arrays(trace.time, trace.displacement, 1.2), "observation")
-    width = np.mean((narrow.upper_kip - narrow.lower_kip)[rest])
-    assert width < 0.9 * np.mean((before.upper - before.lower)[rest])
+    prior = run.predict(mb.Trace.from_arrays(trace.time, trace.displacement, 1.2), "observation")
+    width = np.mean((narrow.upper_kip - narrow.lower_kip)[tail])
+    assert width < 0.9 * np.mean((prior.upper - prior.lower)[tail])
 
 
 def test_a_motion_after_a_test_has_a_narrower_band_that_says_so(ask, table, run, tmp_path):

@@ -28,10 +28,10 @@ def served(*words):
     env = os.environ | {"PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=env) as process:
         try:
-            said = [process.stdout.readline()]
-            while "forward: " not in said[-1] and said[-1]:
-                said.append(process.stdout.readline())
-            yield re.search(r"http://\S+", said[0])[0], "".join(said)
+            lines = [process.stdout.readline()]
+            while "forward: " not in lines[-1] and lines[-1]:
+                lines.append(process.stdout.readline())
+            yield re.search(r"http://\S+", lines[0])[0], "".join(lines)
         finally:
             process.terminate()
 
@@ -55,7 +55,7 @@ def refusal(*arguments, **content):
 
 
 def test_a_model_gives_the_force_of_a_motion():
-    with served("lugre", *SINE) as (address, said):
+    with served("lugre", *SINE) as (address, output):
         with urllib.request.urlopen(f"{address}/Info", timeout=60) as answer:
             assert json.load(answer) == {"protocolVersion": 1.0, "models": ["forward"]}
         assert ask(address, "InputSizes", name="forward") == {"inputSizes": [8]}
@@ -68,7 +68,7 @@ def test_a_model_gives_the_force_of_a_motion():
         assert "sigma0 [kip/in]" in refusal(address, "Evaluate", name="forward", input=3)[1]
         assert "sigma0" in refusal(address, "Evaluate", name="forward", input=[[-1, *THETA[1:]]])[1]
         assert refusal(address, "Evaluate", name="backward", input=[THETA])[0] == 400
-        assert "sigma0 [kip/in], " in said
+        assert "sigma0 [kip/in], " in output
 
 
 def sent(address, text):
@@ -123,9 +123,9 @@ def test_thirty_clients_are_answered_and_nothing_is_printed(capfd):
             assert len(set(clients.map(client, range(60)))) == 1
         host, port = address.removeprefix("http://").split(":")
         for _ in range(5):  # clients that do not wait for an answer
-            with socket.create_connection((host, int(port))) as gone:
-                gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-                gone.sendall(b"GET /Info HTTP/1.1\r\nHost: localhost\r\n\r\n" * 50)
+            with socket.create_connection((host, int(port))) as connection:
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                connection.sendall(b"GET /Info HTTP/1.1\r\nHost: localhost\r\n\r\n" * 50)
         ask(address, "ModelInfo", name="forward")
         assert capfd.readouterr().err == ""
 
@@ -143,14 +143,14 @@ def test_a_run_gives_its_log_posterior_and_its_force(out, run):
     test = list(run.tests.values())[1]
     posterior = test.posterior
     q = posterior.coordinates(test.stored.values())[:1]
-    drawn = posterior.values(q)
-    theta = posterior.theta(drawn)
+    draws = posterior.values(q)
+    theta = posterior.theta(draws)
     expected = {
         "posterior": (q, posterior.log_prob(q)),
-        "values": (q, [drawn[name][0] for name in posterior.names]),
+        "values": (q, [draws[name][0] for name in posterior.names]),
         "forward": (theta, posterior.model.force(theta, test.trace)[0]),
     }
-    with served(out) as (address, said):
+    with served(out) as (address, output):
         with urllib.request.urlopen(f"{address}/Info", timeout=60) as answer:
             assert json.load(answer)["models"] == [*expected]
         for name, (point, values) in expected.items():
@@ -160,7 +160,7 @@ def test_a_run_gives_its_log_posterior_and_its_force(out, run):
             assert answer == pytest.approx(values)
         far = {"name": "posterior", "input": [[1e9] * posterior.dim]}
         assert ask(address, "Evaluate", **far)["output"] == [[-1e300]]  # of the first test
-        assert f"q({posterior.names[0]})" in said
+        assert f"q({posterior.names[0]})" in output
         assert "no test" in refusal(address, "Evaluate", config={"test": "no"}, **far)[1]
 
 

@@ -21,11 +21,11 @@ DATA = Path(__file__).parents[1] / "data"
 LONG, ROWS = 260, 12  # of a longer table, and of those that figures show, so many rows are taken
 
 
-def alike(cell, other):
+def alike(cell, expected):
     try:
-        return math.isclose(float(cell), float(other), rel_tol=1e-3, abs_tol=1e-6)
+        return math.isclose(float(cell), float(expected), rel_tol=1e-3, abs_tol=1e-6)
     except ValueError:
-        return cell == other
+        return cell == expected
 
 
 def rows_of(figure):
@@ -33,9 +33,9 @@ def rows_of(figure):
     yield ["size", *map(str, figure.get_size_inches())]
     for axes in figure.axes:
         words = (axes.get_title(loc="left"), axes.get_xlabel(), axes.get_ylabel())
-        drawn = [np.asarray(line.get_xydata(), float) for line in axes.lines]
-        drawn += [path.vertices for each in axes.collections for path in each.get_paths()]
-        sums = (len(axes.patches), len(drawn), sum(np.nansum(np.abs(each)) for each in drawn))
+        curves = [np.asarray(line.get_xydata(), float) for line in axes.lines]
+        curves += [path.vertices for item in axes.collections for path in item.get_paths()]
+        sums = (len(axes.patches), len(curves), sum(np.nansum(np.abs(item)) for item in curves))
         limits = (*axes.get_xlim(), *axes.get_ylim())
         yield [
             *words,
@@ -54,24 +54,24 @@ def test_tables_and_figures_of_stored_runs_are_those_that_were_looked_at(
         return dot
 
     monkeypatch.setattr(figures, "to_png", keep)
-    out, made = tmp_path / "out", tmp_path / "made"
-    shutil.copytree(DATA / "run", out)
-    shutil.copytree(made_run, made)
-    said("report", out, "--at", "700 psi, 0.9 in, 0.4 Hz")
-    said("report", made, "--units", "si")
+    folder, synthetic = tmp_path / "out", tmp_path / "made"
+    shutil.copytree(DATA / "run", folder)
+    shutil.copytree(made_run, synthetic)
+    said("report", folder, "--at", "700 psi, 0.9 in, 0.4 Hz")
+    said("report", synthetic, "--units", "si")
     sine = ("--sine", "1 in, 0.4 Hz, 2 cycles", "--actuation", "700 psi")
-    said("predict", out, *sine, "--design", "--simultaneous", "-o", tmp_path / "bands.csv")
-    said("next", out, "--draws", 200, "-o", tmp_path / "next.csv")
+    said("predict", folder, *sine, "--design", "--simultaneous", "-o", tmp_path / "bands.csv")
+    said("next", folder, "--draws", 200, "-o", tmp_path / "next.csv")
     (tmp_path / "b.toml").write_text(BUILDING)
     time = np.arange(200) / 50
     names = ("time_s", "acceleration_in/s^2")
     ground = write_csv(tmp_path / "g.csv", time, 100.0 * np.sin(6.0 * time), names=names)
     building = ("--building", tmp_path / "b.toml", "--ground", ground)
-    said("respond", out, *building, "--draws", 10, "--jobs", 1, "-o", tmp_path / "response")
-    held = mb.open_run(out).held_out["p800_f0.5"]
-    record = write_csv(tmp_path / "held.csv", held.time, held.displacement, held.force)
-    at = ("--actuation", "800 psi", "-o")
-    given = (
+    said("respond", folder, *building, "--draws", 10, "--jobs", 1, "-o", tmp_path / "response")
+    trace = mb.open_run(folder).held_out["p800_f0.5"]
+    record = write_csv(tmp_path / "held.csv", trace.time, trace.displacement, trace.force)
+    level_args = ("--actuation", "800 psi", "-o")
+    motion_args = (
         "--motion",
         record,
         "--condition-on",
@@ -80,13 +80,13 @@ def test_tables_and_figures_of_stored_runs_are_those_that_were_looked_at(
         "observation",
         "--compare",
     )
-    said("predict", out, *given, "--units", "si", *at, tmp_path / "given.csv")
-    said("accept", out, record, *at, tmp_path / "accepted")
+    said("predict", folder, *motion_args, "--units", "si", *level_args, tmp_path / "given.csv")
+    said("accept", folder, record, *level_args, tmp_path / "accepted")
     for path in sorted(tmp_path.rglob("*.csv")):
         with path.open(encoding="utf-8") as file:
             rows = [*csv.reader(line for line in file if not line.startswith("#"))]
-        shown = len(rows) > LONG or path.name == "record.csv" or path.parent.name == "figures"
-        step = max(len(rows) // ROWS, 1) if shown else 1
+        thinned = len(rows) > LONG or path.name == "record.csv" or path.parent.name == "figures"
+        step = max(len(rows) // ROWS, 1) if thinned else 1
         tables[path.relative_to(tmp_path).as_posix()] = [rows[0], *rows[1::step]]
     stored = DATA / "tables.json"
     if "MFD_BAYES_TABLES" in os.environ:
@@ -96,5 +96,5 @@ def test_tables_and_figures_of_stored_runs_are_those_that_were_looked_at(
     assert tables.keys() == expected.keys()
     for name, table in tables.items():
         assert len(table) == len(expected[name]), name
-        for row, other in zip(table, expected[name], strict=True):
-            assert all(map(alike, row, other)), (name, row, other)
+        for row, reference in zip(table, expected[name], strict=True):
+            assert all(map(alike, row, reference)), (name, row, reference)

@@ -16,8 +16,8 @@ CYCLES, SLIP = 3, "Fc_fwd"
 @pytest.fixture(scope="module")
 def tests(run):
     """The motion, and ten simulated measurements of it: their forces and their slip forces."""
-    at = np.arange(0.0, (CYCLES + 0.5) / 0.5, 0.02)
-    motion = mb.Trace.from_arrays(at, np.sin(np.pi * at), 1.0)
+    times = np.arange(0.0, (CYCLES + 0.5) / 0.5, 0.02)
+    motion = mb.Trace.from_arrays(times, np.sin(np.pi * times), 1.0)
     band = run.predict(motion, "observation", draws=10, seed=4)
     return motion, band.draws, band.values[SLIP]
 
@@ -69,16 +69,16 @@ def test_what_cannot_be_used_is_named(words, tests):
 def test_a_file_that_grows_is_followed_to_its_end(words, tests):
     force = tests[1][1]
     of_whole = here(*words(force)).stdout
-    whole = words(force)[1].read_text()
+    content = words(force)[1].read_text()
     watched = words(force, "--wait", "4 s", samples=140)
     path = watched[1]
 
     def grow():
         time.sleep(2.0)
-        begun = path.read_text()
-        path.write_text(whole[: len(begun) + 1000].rstrip("\n")[:-3])  # ends within a number
+        head = path.read_text()
+        path.write_text(content[: len(head) + 1000].rstrip("\n")[:-3])  # ends within a number
         time.sleep(2.0)
-        path.write_text(whole)
+        path.write_text(content)
 
     writer = threading.Thread(target=grow)
     writer.start()

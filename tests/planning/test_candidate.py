@@ -30,28 +30,30 @@ TYPICAL = Candidate(1.0, 0.5, 1.0, 3.0)
 
 
 def test_a_test_in_words_is_read():
-    (found,) = parse_tests("1350 psi, 0.5 Hz, 25.4 mm, 5 cycles, triangle, 2 h", "ksi")
-    whole = found.completed(TYPICAL)
-    assert vars(whole) == pytest.approx(vars(Candidate(1.35, 0.5, 1.0, 5.0, "triangle", 2.0)))
-    assert whole.cost == 2.0
+    (parsed,) = parse_tests("1350 psi, 0.5 Hz, 25.4 mm, 5 cycles, triangle, 2 h", "ksi")
+    candidate = parsed.completed(TYPICAL)
+    assert vars(candidate) == pytest.approx(vars(Candidate(1.35, 0.5, 1.0, 5.0, "triangle", 2.0)))
+    assert candidate.cost == 2.0
 
 
 def test_bars_and_semicolons_give_a_grid():
-    found = parse_tests("500|1000 psi, 0.1|0.5|1 Hz, sine|triangle; 2 ksi", "ksi")
-    assert len(found) == 2 * 3 * 2 + 1
-    assert {p.actuation for p in found} == {0.5, 1.0, 2.0}
+    grid = parse_tests("500|1000 psi, 0.1|0.5|1 Hz, sine|triangle; 2 ksi", "ksi")
+    assert len(grid) == 2 * 3 * 2 + 1
+    assert {p.actuation for p in grid} == {0.5, 1.0, 2.0}
     assert parse_tests(["500 psi", "1000 psi"], "ksi") == parse_tests("500 psi;1000 psi", "ksi")
 
 
 def test_what_is_not_given_is_that_of_a_typical_test_but_for_its_cost():
-    found = Parts(actuation=0.5).completed(replace(TYPICAL, price=9.0))
-    assert found == Candidate(0.5, 0.5, 1.0, 3.0)
-    assert found.cost == pytest.approx(SETUP + 6.0 / 3600.0)
+    candidate = Parts(actuation=0.5).completed(replace(TYPICAL, price=9.0))
+    assert candidate == Candidate(0.5, 0.5, 1.0, 3.0)
+    assert candidate.cost == pytest.approx(SETUP + 6.0 / 3600.0)
 
 
 def test_limits_are_read_in_any_order_and_kept():
-    found = parse_limits("50 kN, 254 mm/s, 6 in")
-    assert vars(found) == pytest.approx({"velocity": 10.0, "stroke": 6.0, "force": 11.24}, rel=1e-3)
+    bounds = parse_limits("50 kN, 254 mm/s, 6 in")
+    assert vars(bounds) == pytest.approx(
+        {"velocity": 10.0, "stroke": 6.0, "force": 11.24}, rel=1e-3
+    )
     assert parse_limits("6 in") == Limits(stroke=6.0)
     limits = Limits(velocity=3.0, stroke=1.9)
     assert limits.forbids(Candidate(1.0, 0.5, 0.96)) == "velocity"  # a sine's speed is 3.016 in/s
@@ -69,7 +71,7 @@ def test_goals_are_read():
     assert parse_goal("band of new_test", "ksi").kind == "new_test"
     energy = parse_goal("Energy at 1000 psi, 0.5 Hz, 1 in; 1500 psi, 0.5 Hz, 1 in", "ksi")
     assert energy.quantity == "energy"
-    assert [part.actuation for part in energy.at] == [1.0, 1.5]
+    assert [point.actuation for point in energy.at] == [1.0, 1.5]
     assert parse_goal("peak force at 2 ksi", "ksi").quantity == "peak"
     assert parse_goal("exponent of Fc_fwd", "ksi").of == "Fc_fwd"
 
@@ -78,19 +80,19 @@ def test_a_goal_is_at_its_tests_or_at_a_motion_at_every_level():
     typical = [Candidate(0.0, 0.5, 2.0), TYPICAL]
     places = parse_goal("energy at 0.2 in", "ksi").places(typical)
     assert places == [Candidate(0.0, 0.5, 0.2), Candidate(1.0, 0.5, 0.2)]
-    there = Candidate(0.8, 0.5, 1.0)
-    for at in (there, (there,), [there]):
-        assert Goal("energy", at=at).places(typical) == [there]
-    assert hash(Goal(at=[there])) == hash(Goal(at=(there,)))
+    candidate = Candidate(0.8, 0.5, 1.0)
+    for target in (candidate, (candidate,), [candidate]):
+        assert Goal("energy", at=target).places(typical) == [candidate]
+    assert hash(Goal(at=[candidate])) == hash(Goal(at=(candidate,)))
 
 
 def test_the_goals_words_name_its_motions():
     tests = (Candidate(0.5, 0.5, 1.0), Candidate(1.5, 0.5, 1.0))
-    there = "0.5 Hz, 0.2 in"
+    condition = "0.5 Hz, 0.2 in"
     for text, words in (
         ("band", "the 95 % band over the campaign's range"),
         ("energy at 1 ksi, 0.5 Hz, 1 in", "energy per cycle at 1000 psi, 0.5 Hz, 1 in"),
-        ("band at 0.2 in", f"band at 5 places from 500 psi, {there} to 1500 psi, {there}"),
+        ("band at 0.2 in", f"band at 5 places from 500 psi, {condition} to 1500 psi, {condition}"),
     ):
         advice = SimpleNamespace(goal=parse_goal(text, "ksi"), tests=tests)
         assert AdviceInWords(advice, US, "ksi").goal.endswith(words)
@@ -102,14 +104,14 @@ METRIC = Shown(6.894757, 25.4)
 
 
 def test_a_record_is_known_by_its_harmonic_test_rounded_in_the_campaigns_units():
-    for amplitude, same in ((25.0, False), (25.4, True)):
+    for amplitude, expected in ((25.0, False), (25.4, True)):
         trace = Harmonic(1.0004 * amplitude / 25.4, 0.5, 4).trace(7.0 / METRIC.actuation)
-        found = harmonic_of(trace, METRIC)
-        assert (found.frequency, found.cycles) == (0.5, 4.0)
-        assert found.actuation * METRIC.actuation == pytest.approx(7.0)
-        assert found.amplitude * 25.4 == pytest.approx(amplitude, rel=1e-9)
+        harmonic = harmonic_of(trace, METRIC)
+        assert (harmonic.frequency, harmonic.cycles) == (0.5, 4.0)
+        assert harmonic.actuation * METRIC.actuation == pytest.approx(7.0)
+        assert harmonic.amplitude * 25.4 == pytest.approx(amplitude, rel=1e-9)
         rough = harmonic_of(trace).amplitude * 25.4
-        assert (rough == pytest.approx(amplitude, rel=1e-9)) is same  # the control
+        assert (rough == pytest.approx(amplitude, rel=1e-9)) is expected  # the control
 
 
 def test_the_grid_repeats_every_test_and_goes_a_little_beyond_in_round_numbers():

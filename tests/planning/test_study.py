@@ -45,9 +45,11 @@ def make_situation(
     is known to be 0 for them, and unknown for others. Everything else is known, and the same in all
     tests.
     """
-    made = [*sessions, *[""] * len(levels)][: len(levels)]
+    session_names = [*sessions, *[""] * len(levels)][: len(levels)]
     owned = [*devices, *[""] * len(levels)][: len(levels)]
-    settings = [TestConditions(p, s, {}, d) for p, s, d in zip(levels, made, owned, strict=True)]
+    settings = [
+        TestConditions(p, s, {}, d) for p, s, d in zip(levels, session_names, owned, strict=True)
+    ]
     slip = ("Fc_fwd", "Fc_bwd")
     population = make_population(
         settings,
@@ -90,10 +92,10 @@ def test_one_more_test_of_known_scatter_has_its_closed_form(level, scatter):
     ("effect", "sessions"), [(1e-9, ()), (0.1, ("a", "a", "b"))], ids=["copies", "a session"]
 )
 def test_copies_average_their_scatter_but_not_the_effect_of_their_session(effect, sessions):
-    made = make_situation(effect=effect, levels=(1.0, 1.0, 1.0), sessions=sessions)
-    advice = ask(made, SLIP)
-    law, own = 0.05**2, effect**2 if sessions else 0.0
-    closed = [1.0 - np.sqrt(1.0 - law / (law * (1 + 1 / n) + own)) for n in (1, 2, 3)]
+    situation = make_situation(effect=effect, levels=(1.0, 1.0, 1.0), sessions=sessions)
+    advice = ask(situation, SLIP)
+    law, shared = 0.05**2, effect**2 if sessions else 0.0
+    closed = [1.0 - np.sqrt(1.0 - law / (law * (1 + 1 / n) + shared)) for n in (1, 2, 3)]
     np.testing.assert_allclose([t.reduction for t in advice.together], closed, atol=0.04)
     assert [len(t.candidates) for t in advice.together] == [1, 2, 3]
     np.testing.assert_allclose(advice.curve[0], advice.width)
@@ -103,15 +105,15 @@ def test_copies_average_their_scatter_but_not_the_effect_of_their_session(effect
 
 def test_a_test_of_another_device_has_its_effect_and_one_of_a_known_device_has_not():
     situation = make_situation(effect=0.1, levels=(1.0, 1.0, 1.0), devices=("a", "a", "b"))
-    new, known = (Candidate(1.0, 0.5, 1.0, device=d) for d in (NEW_DEVICE, "b"))
-    rows = {row.candidate: row for row in ask(situation, SLIP, new, known)}
-    for candidate, effect in ((new, 0.1), (known, 0.0)):
+    unseen, tested = (Candidate(1.0, 0.5, 1.0, device=d) for d in (NEW_DEVICE, "b"))
+    rows = {row.candidate: row for row in ask(situation, SLIP, unseen, tested)}
+    for candidate, effect in ((unseen, 0.1), (tested, 0.0)):
         closed = 1.0 - np.sqrt(1.0 - 0.05**2 / (0.05**2 * 2 + effect**2))
         row = rows[candidate]
         assert abs(row.reduction - closed) < 2.0 * row.error + 0.01
-        assert row.repeat == (candidate is known)
+        assert row.repeat == (candidate is tested)
     # several new devices average their effects too
-    advice = ask(situation, SLIP, new)
+    advice = ask(situation, SLIP, unseen)
     closed = [1.0 - np.sqrt(1.0 - 0.05**2 / (0.05**2 + (0.05**2 + 0.1**2) / n)) for n in (1, 2, 3)]
     np.testing.assert_allclose([t.reduction for t in advice.together], closed, atol=0.03)
 
@@ -161,14 +163,14 @@ def test_forbidden_candidates_are_never_proposed():
     strong = Candidate(9.0, 0.5, 1.0)
     situation = make_situation(exponent=0.2)
     limits = Limits(velocity=8.0, stroke=6.0, force=8.0)
-    every = AT_ONE, fast, long, strong
-    advice = ask(situation, Goal(), *every, limits=limits, draws=FEW)
+    candidates = AT_ONE, fast, long, strong
+    advice = ask(situation, Goal(), *candidates, limits=limits, draws=FEW)
     assert dict(advice.ruled_out) == {fast: "velocity", long: "stroke", strong: "force"}
     proposed = {row.candidate for row in advice}
     proposed |= {c for together in advice.together for c in together.candidates}
     assert proposed == {AT_ONE}
-    free = ask(situation, Goal(), *every, draws=FEW)
-    assert {row.candidate for row in free} == {AT_ONE, fast, long, strong}  # the control
+    unlimited = ask(situation, Goal(), *candidates, draws=FEW)
+    assert {row.candidate for row in unlimited} == {AT_ONE, fast, long, strong}  # the control
     for limits, name in ((Limits(stroke=0.1), "stroke"), (Limits(force=0.001), "force")):
         with pytest.raises(CampaignError, match=name):
             ask(make_situation(), Goal(), limits=limits)
@@ -224,27 +226,27 @@ def linear_gaussian(seed, noise):
     a, b = np.linalg.qr(rng.standard_normal((6, 3)))[0].T, rng.standard_normal((5, 6))
     sd, u = noise * rng.uniform(0.5, 2.0, 5), rng.standard_normal((MANY, 6))
     summaries = u @ b.T + sd * rng.standard_normal((MANY, 5))
-    before = a @ a.T
-    after = before - a @ b.T @ np.linalg.inv(b @ b.T + np.diag(sd**2)) @ b @ a.T
-    return u @ a.T, summaries, before, after
+    prior_cov = a @ a.T
+    posterior_cov = prior_cov - a @ b.T @ np.linalg.inv(b @ b.T + np.diag(sd**2)) @ b @ a.T
+    return u @ a.T, summaries, prior_cov, posterior_cov
 
 
 def judged(goals, summaries):
-    left = fit_left_out(goals, directions_of(summaries))
-    return gain_of(Goals(goals), left, np.random.default_rng(0)), left
+    residual = fit_left_out(goals, directions_of(summaries))
+    return gain_of(Goals(goals), residual, np.random.default_rng(0)), residual
 
 
 @pytest.mark.parametrize("noise", [0.3, 3.0])
 def test_a_linear_gaussian_population_gives_its_closed_form(noise):
     for seed in range(3):
-        goals, summaries, before, after = linear_gaussian(seed, noise)
-        gain, left = judged(goals, summaries)
-        reduction = 1.0 - np.sqrt(np.diag(after)).sum() / np.sqrt(np.diag(before)).sum()
+        goals, summaries, prior_cov, posterior_cov = linear_gaussian(seed, noise)
+        gain, residual = judged(goals, summaries)
+        reduction = 1.0 - np.sqrt(np.diag(posterior_cov)).sum() / np.sqrt(np.diag(prior_cov)).sum()
         assert abs(gain.reduction - reduction) < 4.0 * gain.error + 0.005  # which a penalty costs
-        information = 0.5 * (np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
+        information = 0.5 * (np.linalg.slogdet(prior_cov)[1] - np.linalg.slogdet(posterior_cov)[1])
         assert abs(gain.information - information) < 4.0 * gain.information_error
-        closed = np.diag(after) / np.diag(before)
-        share = left.var(axis=0) / goals.var(axis=0)
+        closed = np.diag(posterior_cov) / np.diag(prior_cov)
+        share = residual.var(axis=0) / goals.var(axis=0)
         np.testing.assert_allclose(share, closed, rtol=4.0 * np.sqrt(4.0 / MANY))
 
 

@@ -53,14 +53,14 @@ THREE_STAGE = {
 """Medians over tests at the reference actuation."""
 
 
-def no_residual(**changed: Any) -> Residual:
+def no_residual(**changes: Any) -> Residual:
     """No discrepancy, and even white noise."""
     zeros = np.zeros(2 * KNOTS)
-    plain = Residual(
+    residual = Residual(
         TravelBasis(1.0, 1.0), zeros, np.zeros((zeros.size, zeros.size)), zeros, 1.0, 0.0, 1e-3,
         1e-3, 1e-6,
     )  # fmt: skip
-    return replace(plain, **changed)
+    return replace(residual, **changes)
 
 
 def make_population(
@@ -95,10 +95,10 @@ def make_population(
         design = replace(design, common=np.zeros(len(design.names), dtype=bool))
     rng, names = np.random.default_rng(1), design.names
 
-    def by_name(given: float | Mapping[str, float], keys: Sequence[str], least: float) -> Array:
-        if isinstance(given, Mapping):
-            return np.array([max(given.get(key, 0.0), least) for key in keys])
-        return np.full(len(keys), max(given, least))
+    def by_name(value: float | Mapping[str, float], keys: Sequence[str], floor: float) -> Array:
+        if isinstance(value, Mapping):
+            return np.array([max(value.get(key, 0.0), floor) for key in keys])
+        return np.full(len(keys), max(value, floor))
 
     tau = by_name(scatter, names, 1e-9)
     if "offset" in names and not isinstance(scatter, Mapping):
@@ -113,38 +113,38 @@ def make_population(
     laws_of = ["power" if law == "compare" else law for law in design.laws.values()]
     numbers = [LAW_NAMES.index(law) for law in laws_of]
     choice = np.broadcast_to(numbers, (*shape, len(numbers))).astype(np.intp)
-    free = np.empty((choice[..., 0].size, len(design.shapes)))
+    shapes = np.empty((choice[..., 0].size, len(design.shapes)))
     for i, (_, name) in enumerate(design.shapes):
-        spread = exponent + exponent_sd * rng.standard_normal(len(free))
-        free[:, i] = np.log(share / (1.0 - share)) if name == "share" else spread
-    drawn = design.law_shapes(free, choice.reshape(len(free), -1))
+        spread = exponent + exponent_sd * rng.standard_normal(len(shapes))
+        shapes[:, i] = np.log(share / (1.0 - share)) if name == "share" else spread
+    law_shapes = design.law_shapes(shapes, choice.reshape(len(shapes), -1))
     # laws beyond the levels: of slip forces, with the medians of their shapes
-    others, each = dict(alternatives or {}), shape[1]
+    weights, n_draws = dict(alternatives or {}), shape[1]
     rows = [
-        [usual_shapes(own if n == "sigma0" else law) for n, own in design.laws.items()]
-        for law in others
+        [usual_shapes(named_law if n == "sigma0" else law) for n, named_law in design.laws.items()]
+        for law in weights
     ]
-    pairs = np.repeat(np.array(rows).reshape(len(rows), len(numbers), 2), each, axis=0)
-    weight = np.repeat([*others.values()], each) / each
-    other = LawDraws(
+    pairs = np.repeat(np.array(rows).reshape(len(rows), len(numbers), 2), n_draws, axis=0)
+    weight = np.repeat([*weights.values()], n_draws) / n_draws
+    alternative_draws = LawDraws(
         np.tile(h, (weight.size, 1)), np.resize(z[0], (weight.size, z.shape[-1])),
         pairs[..., 0], pairs[..., 1],
     )  # fmt: skip
-    known = {*medians, "start", "gamma1"} & set(priors.parameters)
+    prior_names = {*medians, "start", "gamma1"} & set(priors.parameters)
     return Population(
         design=design,
         draws=LawDraws(
             np.broadcast_to(h, (*shape, h.size)).copy(),
             z,
-            *(s.reshape(choice.shape) for s in drawn),
+            *(s.reshape(choice.shape) for s in law_shapes),
         ),
         choice=choice,
         law_weights={n: {LAW_NAMES[choice[0, 0, i]]: 1.0} for i, n in enumerate(design.laws)},
-        alternatives=other,
+        alternatives=alternative_draws,
         alternative_weight=weight,
         residual=residual or no_residual(),
         starts=starts or InitialGapPrior(),
-        priors={name: priors.parameters[name] for name in known},
+        priors={name: priors.parameters[name] for name in prior_names},
         actuation_unit="ksi",
         walkers=10,
         convergence=Convergence(np.ones(1), np.ones(1), np.ones(1)),

@@ -29,8 +29,8 @@ class Campaign:
         self.h = np.linspace(-7.0, 1.5, 200)[:, None] + np.log(self.mixed.scale)
 
     def gaussians(self):
-        each = zip(self.mean[:, 0], self.precision[:, 0, 0], strict=True)
-        return [lambda x, m=m, p=p: -0.5 * p * (x - m) ** 2 for m, p in each]
+        pairs = zip(self.mean[:, 0], self.precision[:, 0, 0], strict=True)
+        return [lambda x, m=m, p=p: -0.5 * p * (x - m) ** 2 for m, p in pairs]
 
     def sampler(self, seed=0, evaluated=None):
         """The sampler; what is evaluated may be other functions than the exact ones."""
@@ -38,8 +38,8 @@ class Campaign:
         functions = evaluated or self.functions
         tests = [SimpleNamespace(log_likelihood=lambda x, f=f: f(x[:, 0])) for f in functions]
         fit = JointFit(tests, self.mean, self.precision, residual=None)
-        own = np.zeros(self.mean.shape, dtype=bool)
-        return ExactSampler(fit, self.approximate, own, self.choice, rng)
+        flags = np.zeros(self.mean.shape, dtype=bool)
+        return ExactSampler(fit, self.approximate, flags, self.choice, rng)
 
     def approximate(self, fit):
         """Mixed model of Gaussian likelihoods, and draws of h under it."""
@@ -48,8 +48,8 @@ class Campaign:
         weight = special.softmax(
             mixed.log_prior(self.h) + mixed.marginal(self.h, self.choice[0])[0]
         )
-        place = (rng.random() + np.arange(4000)) / 4000  # systematic: as good as the grid
-        pool = rng.permutation(self.h[np.searchsorted(np.cumsum(weight), place).clip(0, 199)])
+        points = (rng.random() + np.arange(4000)) / 4000  # systematic: as good as the grid
+        pool = rng.permutation(self.h[np.searchsorted(np.cumsum(weight), points).clip(0, 199)])
         pool = pool + (self.h[1] - self.h[0]) * (rng.random(pool.shape) - 0.5)
         return mixed, [pool] * CHAINS
 
@@ -59,17 +59,17 @@ class Campaign:
         likelihoods = np.exp([f(x) for f in self.functions])
         tau = self.mixed.tau(self.h)[:, 0]
         weight = np.zeros((tau.size, level.size))
-        first, second = (np.zeros((tau.size, level.size, len(self.mean))) for _ in "12")
+        moment_1, moment_2 = (np.zeros((tau.size, level.size, len(self.mean))) for _ in "12")
         prior = self.mixed.log_prior(self.h)
         for i, t in enumerate(tau):
             fine = max(t, 0.004)  # as narrow as the grid of x can hold
             normal = np.exp(-0.5 * ((x - level[:, None]) / fine) ** 2) / fine
-            parts = [normal @ (likelihoods * x**k).T + 1e-300 for k in (0, 1, 2)]
-            weight[i] = np.log(parts[0]).sum(axis=1) + prior[i] - 0.5 * level**2
-            first[i], second[i] = parts[1] / parts[0], parts[2] / parts[0]
+            integrals = [normal @ (likelihoods * x**k).T + 1e-300 for k in (0, 1, 2)]
+            weight[i] = np.log(integrals[0]).sum(axis=1) + prior[i] - 0.5 * level**2
+            moment_1[i], moment_2[i] = integrals[1] / integrals[0], integrals[2] / integrals[0]
         weight, flat = special.softmax(weight), np.ones(weight.shape)
         pairs = [(v, v**2) for v in (self.h[:, [0]] * flat, level * flat)]
-        pairs += [(first[..., j], second[..., j]) for j in range(len(self.mean))]
+        pairs += [(moment_1[..., j], moment_2[..., j]) for j in range(len(self.mean))]
         means = np.array([np.sum(weight * v) for v, _ in pairs])
         squares = np.array([np.sum(weight * v) for _, v in pairs])
         return np.stack([means, np.sqrt(squares - means**2)], axis=1)
@@ -78,9 +78,9 @@ class Campaign:
 def moments_of(sampler, sweeps=SWEEPS):
     """Means and standard deviations by chain, (chain, 2 + J) each, after a warm-up."""
     draws = sampler.run(0.0, np.inf, sweeps, 10**9, lambda *_: None)
-    parts = draws.h, draws.z[..., :1], draws.x[..., 0]
-    every = np.concatenate([part.reshape(CHAINS, -1, part.shape[-1]) for part in parts], axis=2)
-    return every.mean(axis=1), every.std(axis=1)
+    blocks = draws.h, draws.z[..., :1], draws.x[..., 0]
+    flat = np.concatenate([block.reshape(CHAINS, -1, block.shape[-1]) for block in blocks], axis=2)
+    return flat.mean(axis=1), flat.std(axis=1)
 
 
 def errors(by_chain, expected):
@@ -106,8 +106,8 @@ def test_with_gaussian_likelihoods_every_move_is_accepted_and_draws_are_exact(pr
     level = special.softmax(mixed.log_prior(h) + log) @ gaussian.mean[:, 0]
     assert expected[1] == pytest.approx(level, abs=0.01)
     assert np.abs(errors(means, expected)).max() < 4.0
-    other = Campaign(priors, Y + 0.1, SD).truth()[1:, 0]  # the control
-    assert np.abs(errors(means[:, 1:], other)).min() > 8.0
+    control = Campaign(priors, Y + 0.1, SD).truth()[1:, 0]  # the control
+    assert np.abs(errors(means[:, 1:], control)).min() > 8.0
 
 
 @pytest.fixture(scope="module")

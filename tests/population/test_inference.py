@@ -39,9 +39,9 @@ def made_test(priors, name, actuation, rng, luck=0.0):
     computed = posterior.force({k: np.array([v]) for k, v in values.items()})[0]
     measured = computed + NOISE * rng.standard_normal(TIME.size)
     trace = Trace.from_arrays(TIME, MOTION, actuation, measured)
-    near = {k: (v * 1.02 if k != "offset" else 0.01, v, v) for k, v in values.items()}
-    own = Posterior(trace, priors, "iid", model, initial="sample")
-    return SimpleNamespace(trace=trace, posterior=own, intervals=near)
+    intervals = {k: (v * 1.02 if k != "offset" else 0.01, v, v) for k, v in values.items()}
+    fit = Posterior(trace, priors, "iid", model, initial="sample")
+    return SimpleNamespace(trace=trace, posterior=fit, intervals=intervals)
 
 
 def made_tests(priors, name, actuations, lucks=None):
@@ -63,37 +63,37 @@ def infer(priors, tests, laws=LAW, seed=(1, 2), **options):
 def test_the_law_that_records_are_made_with_is_found_and_predicts(priors, name):
     population = infer(priors, made_tests(priors, name, LEVELS)).population
     median = population.median("Fc_fwd", [0.5, 1.0, 1.5])
-    away = np.abs(np.median(median, axis=(0, 1)) - slip([0.5, 1.0, 1.5]))
-    assert np.all(away < 4.0 * median.std(axis=(0, 1)) + 0.01)
-    assert np.all(away < 0.15 * slip([0.5, 1.0, 1.5]))
+    error = np.abs(np.median(median, axis=(0, 1)) - slip([0.5, 1.0, 1.5]))
+    assert np.all(error < 4.0 * median.std(axis=(0, 1)) + 0.01)
+    assert np.all(error < 0.15 * slip([0.5, 1.0, 1.5]))
     assert population.law_weights["Fc_fwd"] == {"affine": 1.0}
     assert np.all(np.isfinite(population.convergence.r_hat))
     predictor = Predictor(population, find_model(name), find_noise("iid"))
-    rng, inside, widths = np.random.default_rng(9), [], []
+    rng, covered, widths = np.random.default_rng(9), [], []
     for p in (0.5, 0.8, 1.2, 1.5):
-        new = made_test(priors, name, p, rng, SCATTER * rng.standard_normal())
-        band = predictor.predict(new.trace, PredictionOptions("observation", draws=300))
-        inside.append(np.mean((new.trace.force >= band.lower) & (new.trace.force <= band.upper)))
-        widths.append(np.mean(band.upper - band.lower) / np.ptp(new.trace.force))
-    assert np.mean(inside) > 0.85
+        test = made_test(priors, name, p, rng, SCATTER * rng.standard_normal())
+        band = predictor.predict(test.trace, PredictionOptions("observation", draws=300))
+        covered.append(np.mean((test.trace.force >= band.lower) & (test.trace.force <= band.upper)))
+        widths.append(np.mean(band.upper - band.lower) / np.ptp(test.trace.force))
+    assert np.mean(covered) > 0.85
     assert np.mean(widths) < 0.35
 
 
 def test_the_same_seed_gives_the_same_population_however_many_processes(priors):
     tests = made_tests(priors, "lugre", (0.5, 1.0))
-    one, two = (infer(priors, tests, jobs=jobs) for jobs in (1, 2))
-    np.testing.assert_array_equal(one.tests, two.tests)
-    np.testing.assert_array_equal(one.population.draws.h, two.population.draws.h)
+    serial, parallel = (infer(priors, tests, jobs=jobs) for jobs in (1, 2))
+    np.testing.assert_array_equal(serial.tests, parallel.tests)
+    np.testing.assert_array_equal(serial.population.draws.h, parallel.population.draws.h)
 
 
 def test_tests_without_actuation_inform_a_law_with_an_intercept_alone(priors):
     tests = made_tests(priors, "lugre", (1e-6, 0.5, 1.0, 1.5))
-    found = infer(priors, tests, LAW | {"Fc_fwd": "proportional"})
-    population, design = found.population, found.population.design
-    assert np.all(np.isfinite(found.tests))
+    inference = infer(priors, tests, LAW | {"Fc_fwd": "proportional"})
+    population, design = inference.population, inference.population.design
+    assert np.all(np.isfinite(inference.tests))
     assert np.median(population.median("Fc_bwd", 0.0)) == pytest.approx(1.2 * 0.4, rel=0.3)
     assert np.all(population.median("Fc_fwd", 0.0) == 0.0)
     # it is known from its own record all the same
-    assert np.median(found.values(0)["Fc_fwd"]) == pytest.approx(0.4, rel=0.3)
+    assert np.median(inference.values(0)["Fc_fwd"]) == pytest.approx(0.4, rel=0.3)
     informs = design.informs[0, [design.names.index(name) for name in ("Fc_fwd", "Fc_bwd")]]
     assert informs.tolist() == [False, True]

@@ -32,8 +32,8 @@ SETTINGS = [TestConditions(p, s, {"amplitude": x, "velocity": 3.0 * x}) for p, s
 
 
 def design(priors, settings=SETTINGS, names=NAMES, laws=SOME_LAWS, dependence=None):
-    found = design_of(priors, names, settings, laws, dependence or {"Fc_fwd": ("amplitude",)})
-    return replace(found, common=np.array([name == "k3" for name in names]))
+    base = design_of(priors, names, settings, laws, dependence or {"Fc_fwd": ("amplitude",)})
+    return replace(base, common=np.array([name == "k3" for name in names]))
 
 
 def random_likelihoods(rng, count, d, sd=0.3):
@@ -73,25 +73,25 @@ class Dense:
         for k in range(d):
             column(k, 1.0)
             prior.append(np.eye(1))
-        for name, those in laid.dependence.items():
-            for c in those:
+        for name, covariates in laid.dependence.items():
+            for c in covariates:
                 logs, k = np.log([s.covariates[c] for s in laid.settings]), laid.names.index(name)
                 column(k, (logs - logs.mean()) / laid.spread[k])
                 prior.append(0.1**2 * np.eye(1))
         cells = list(dict.fromkeys((s.session, s.actuation) for s in laid.settings))
         level = np.array([a for _, a in cells])
-        apart = np.sqrt(3.0) * np.abs(np.log(level[:, None] / level)) / np.log(2.0)
-        far = np.maximum(apart, 1e-9)  # Matérn of order 3/2 by Bessel's K, not by its closed form
+        lag = np.sqrt(3.0) * np.abs(np.log(level[:, None] / level)) / np.log(2.0)
+        far = np.maximum(lag, 1e-9)  # Matérn of order 3/2 by Bessel's K, not by its closed form
         kernel = np.sqrt(2.0 / np.pi) * far**1.5 * special.kv(1.5, far)
         kernel *= np.array([[a[0] == b[0] for b in cells] for a in cells])
         size = np.clip(p0 / level, 0.5, 2.0)
         for e, effect in enumerate(effects):
             leveled = effect.name == "level"
-            own = [(s.session, s.actuation) if leveled else s.session for s in laid.settings]
-            homes = list(dict.fromkeys(own))
+            labels = [(s.session, s.actuation) if leveled else s.session for s in laid.settings]
+            homes = list(dict.fromkeys(labels))
             for k in effect.members:
-                for home in homes:
-                    column(k, np.array([mine == home for mine in own]) / laid.spread[k])
+                for label in homes:
+                    column(k, np.array([mine == label for mine in labels]) / laid.spread[k])
                 block = np.outer(size, size) * kernel if leveled else np.eye(len(homes))
                 prior.append(omega[e] ** 2 * block)
         law = np.zeros((count, d))
@@ -110,10 +110,10 @@ class Dense:
 
     def log_density(self, tests):
         """Of the likelihoods of tests, each exp(-½ (x - y)' P (x - y))."""
-        own = np.concatenate([np.arange(j * self.d, (j + 1) * self.d) for j in tests])
-        of_y = stats.multivariate_normal(self.law[own], self.covariance[np.ix_(own, own)])
+        index = np.concatenate([np.arange(j * self.d, (j + 1) * self.d) for j in tests])
+        of_y = stats.multivariate_normal(self.law[index], self.covariance[np.ix_(index, index)])
         sizes = sum(self.d * np.log(2 * np.pi) - np.linalg.slogdet(self.p[j])[1] for j in tests)
-        return of_y.logpdf(self.y[own]) + 0.5 * sizes
+        return of_y.logpdf(self.y[index]) + 0.5 * sizes
 
     def coefficients(self):
         gain = np.linalg.solve(self.covariance, self.a @ self.prior).T
@@ -133,27 +133,27 @@ def some_h(mixed, n=4, seed=0):
 
 def test_the_marginal_likelihood_is_the_dense_normal_density(mixed):
     assert {effect.name for effect in mixed.design.effects} == {"level", "session"}
-    h, choice, every = some_h(mixed), choice_of(mixed), range(len(SETTINGS))
-    found = mixed.marginal(h, np.tile(choice, (4, 1)))[0]
-    expected = [Dense(mixed, row).log_density(every) for row in h]
-    np.testing.assert_allclose(found - found[0], np.array(expected) - expected[0], atol=1e-5)
+    h, choice, all_tests = some_h(mixed), choice_of(mixed), range(len(SETTINGS))
+    density = mixed.marginal(h, np.tile(choice, (4, 1)))[0]
+    expected = [Dense(mixed, row).log_density(all_tests) for row in h]
+    np.testing.assert_allclose(density - density[0], np.array(expected) - expected[0], atol=1e-5)
     assert np.ptp(expected) > 0.5  # the control: it is not the same for all h
     for tests in ([0, 1, 2], [1, 3, 5], [4]):
-        some = mixed.marginal(h, np.tile(choice, (4, 1)), tests)[0]
+        partial = mixed.marginal(h, np.tile(choice, (4, 1)), tests)[0]
         fewer = [Dense(mixed, row).log_density(tests) for row in h]
         difference = np.array(fewer) - expected
-        np.testing.assert_allclose(some - found, difference, atol=1e-5)
+        np.testing.assert_allclose(partial - density, difference, atol=1e-5)
 
 
 def test_coefficients_given_h_are_those_of_the_dense_distribution(mixed):
     h = some_h(mixed, 2)
-    found = mixed.marginal(h, np.tile(choice_of(mixed), (2, 1)))[1]
-    for row, mean, factor in zip(h, found.mean, found.factor, strict=True):
+    coefficients = mixed.marginal(h, np.tile(choice_of(mixed), (2, 1)))[1]
+    for row, mean, factor in zip(h, coefficients.mean, coefficients.factor, strict=True):
         expected, covariance = Dense(mixed, row).coefficients()
         np.testing.assert_allclose(mean, expected, atol=1e-5)
         np.testing.assert_allclose(np.linalg.inv(factor @ factor.T), covariance, atol=1e-5)
-    drawn = mixed.marginal(np.repeat(h[:1], 4000, axis=0), np.tile(choice_of(mixed), (4000, 1)))[1]
-    z = drawn.draw(np.random.default_rng(3))
+    normal = mixed.marginal(np.repeat(h[:1], 4000, axis=0), np.tile(choice_of(mixed), (4000, 1)))[1]
+    z = normal.draw(np.random.default_rng(3))
     mean, covariance = Dense(mixed, h[0]).coefficients()
     sd = np.sqrt(np.diag(covariance))
     assert np.all(np.abs(z.mean(axis=0) - mean) < 4.5 * sd / np.sqrt(4000))
@@ -227,14 +227,14 @@ def test_levels_left_out_are_scored_by_differences_of_dense_densities(priors):
         [p] * 2 for p in (0.5, 1, 2)
     ]
     log, h = tests.densities("Fc_fwd", "power", folds)
-    first = {n: getattr(laid, n)[:1] for n in ("names", "spread", "scatter_sd", "common")}
-    alone = replace(laid, **first, leveled=False)
-    one = MixedModel(alone, tests.mean[:, [0]], 1.0 / tests.variance[:, [0], None])
-    every = set(range(len(SETTINGS)))
+    fields = {n: getattr(laid, n)[:1] for n in ("names", "spread", "scatter_sd", "common")}
+    reduced = replace(laid, **fields, leveled=False)
+    model = MixedModel(reduced, tests.mean[:, [0]], 1.0 / tests.variance[:, [0], None])
+    rows = set(range(len(SETTINGS)))
     for i in (3, 500, 900):
-        dense = Dense(one, h[i])
+        dense = Dense(model, h[i])
         for f, fold in enumerate(folds):
-            expected = dense.log_density(sorted(every)) - dense.log_density(sorted(every - {*fold}))
+            expected = dense.log_density(sorted(rows)) - dense.log_density(sorted(rows - {*fold}))
             assert log[i, 0] - log[i, 1 + f] == pytest.approx(expected, abs=1e-5)
 
 
@@ -260,10 +260,10 @@ def test_a_law_that_predicts_the_levels_left_out_is_preferred(priors):
     weights = extrapolation_weights(tests, ["Fc_fwd"], ["proportional", "power", "constant"])
     assert weights[1] == max(weights)
     assert weights.sum() == pytest.approx(1.0)
-    few = replace(tests.design, settings=tests.design.settings[2:6])
-    two = TestGaussians(few, tests.mean[2:6], tests.variance[2:6])
-    even = extrapolation_weights(two, ["Fc_fwd"], ["power", "affine"])
-    np.testing.assert_allclose(even, 0.5)
+    narrow = replace(tests.design, settings=tests.design.settings[2:6])
+    two = TestGaussians(narrow, tests.mean[2:6], tests.variance[2:6])
+    equal = extrapolation_weights(two, ["Fc_fwd"], ["power", "affine"])
+    np.testing.assert_allclose(equal, 0.5)
     assert compare_laws(two) == ()
 
 
@@ -282,10 +282,10 @@ def test_a_drift_is_found_where_there_is_one(priors):
         h = mixed.sample(np.array([0]), np.random.default_rng(1), 2000)
         z = mixed.marginal(h, np.array([0]))[1].draw(rng)
         slopes.append((np.mean(z[:, 1] / 4.0), np.std(z[:, 1] / 4.0)))  # of four years
-    (drift, error), (none, wide) = slopes
+    (drift, error), (null, wide) = slopes
     assert abs(drift + 0.04) < 4.0 * error
     assert drift + 4.0 * error < 0.0
-    assert abs(none) < 4.0 * wide
+    assert abs(null) < 4.0 * wide
     assert laid.changed("date", TestConditions(1.0)) == pytest.approx(0.5)  # the latest one
     later = TestConditions(1.0, "", {"date": 2030.0})
     assert laid.changed("date", later) == pytest.approx(2.0)
@@ -296,10 +296,10 @@ def test_a_drift_is_found_where_there_is_one(priors):
 SOME = {"share": 0.3, "exponent": 0.6}
 
 
-def at(law: str, relative: np.ndarray, **free: float) -> np.ndarray:
+def at(law: str, relative: np.ndarray, **shapes: float) -> np.ndarray:
     """Ratio of a law by name, with the given share and exponent where they are free."""
     share, exponent = (
-        np.array(getattr(LAWS[law], s) if getattr(LAWS[law], s) is not None else (SOME | free)[s])
+        np.array(getattr(LAWS[law], s) if getattr(LAWS[law], s) is not None else (SOME | shapes)[s])
         for s in ("share", "exponent")
     )
     return ratio(relative, share, exponent)
@@ -315,10 +315,10 @@ def test_laws_are_their_formulas():
     np.testing.assert_allclose(residual, 0.3 + 0.7 * relative**1.4)
     with np.errstate(all="raise"):
         assert np.isfinite(ratio(np.array([1e10]), np.array([1.0]), np.array([40.0])))
-    for law, left in zip(LAWS, (0.0, 0.7, 0.0, 1.0, 0.7), strict=True):  # without actuation
+    for law, intercept in zip(LAWS, (0.0, 0.7, 0.0, 1.0, 0.7), strict=True):  # without actuation
         with np.errstate(all="raise"):
-            assert at(law, np.zeros(1)) == pytest.approx(left)
-        assert LAWS[law].intercept == (left > 0.0)
+            assert at(law, np.zeros(1)) == pytest.approx(intercept)
+        assert LAWS[law].intercept == (intercept > 0.0)
 
 
 # --- coordinates
@@ -341,16 +341,16 @@ def draw(priors, names=EVERY, n=50):
 @pytest.mark.parametrize("names", SUBSETS)
 def test_prior_units_are_those_of_the_prior_and_the_change_has_determinant_one(priors, names):
     shared, values = coordinates(priors, names), draw(priors, names)
-    back = shared.values(shared.of(values))
+    restored = shared.values(shared.of(values))
     for name in names:
-        np.testing.assert_allclose(back[name], values[name], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(restored[name], values[name], rtol=1e-9, atol=1e-12)
     x = shared.of(draw(priors, names, 4000))
     np.testing.assert_allclose(x.mean(axis=0), 0.0, atol=4.0 * np.sqrt(2.0 / 4000))
     np.testing.assert_allclose(x.std(axis=0), 1.0, atol=0.1)
-    for one in x[:5]:
+    for row in x[:5]:
         steps = 1e-5 * np.eye(len(names))
         jacobian = (
-            (shared.of_priors(one + steps) - shared.of_priors(one - steps)) / 2e-5 / shared.spread
+            (shared.of_priors(row + steps) - shared.of_priors(row - steps)) / 2e-5 / shared.spread
         )
         assert abs(np.linalg.det(jacobian)) == pytest.approx(1.0, abs=1e-6)
 
@@ -367,5 +367,5 @@ def test_slip_forces_at_a_common_speed_and_the_width_of_the_gap_are_compared(pri
     np.testing.assert_allclose(width, values["d2"] + values["d3"], rtol=1e-10)
     np.testing.assert_allclose(share, values["d3"] / values["d2"], rtol=1e-10)
     for name in ("sigma0", "v_s", "static_excess_fwd", "k3", "offset"):
-        own = priors.parameters[name].coordinate(values[name])
-        np.testing.assert_allclose(q[:, EVERY.index(name)], own, rtol=1e-10, atol=1e-12)
+        coordinate = priors.parameters[name].coordinate(values[name])
+        np.testing.assert_allclose(q[:, EVERY.index(name)], coordinate, rtol=1e-10, atol=1e-12)

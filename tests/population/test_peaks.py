@@ -18,17 +18,17 @@ CAMPAIGNS, TESTS = 400, 8
 
 def coverage(scatter):
     """Share of new tests inside the 80 % interval of the excess learned from others."""
-    rng, inside = np.random.default_rng(1), []
+    rng, hits = np.random.default_rng(1), []
     for _ in range(CAMPAIGNS):
         speed, peak = rng.uniform(0.5, 7.0, TESTS + 1), np.full(TESTS + 1, 3.0)
         excess = 0.15 * speed + 0.3 * rng.standard_normal(TESTS + 1)
         learned = PeakExcess.of(excess[1:], speed[1:], peak[1:])
         learned = learned if scatter else certain({"fwd": learned})["fwd"]
         scores = learned.scores(rng, (500,))
-        seen = learned.seen(peak[0], speed[0], np.array(2.5), scores)
-        low, high = np.quantile(seen - peak[0], [0.1, 0.9])
-        inside.append(low <= excess[0] <= high)
-    return np.mean(inside)
+        predicted = learned.seen(peak[0], speed[0], np.array(2.5), scores)
+        low, high = np.quantile(predicted - peak[0], [0.1, 0.9])
+        hits.append(low <= excess[0] <= high)
+    return np.mean(hits)
 
 
 def test_intervals_of_a_new_test_hold_its_peak_as_often_as_stated():
@@ -50,8 +50,8 @@ def test_a_damper_that_does_not_slip_has_less_of_it():
     excess, slip = PeakExcess(rate=0.5), np.array(2.0)
     largest = np.array([0.0, 1.0, 2.0, 3.0])
     assert excess.seen(largest, 1.0, slip, np.zeros(4)) == pytest.approx([0.0, 1.25, 2.5, 3.5])
-    below = replace(excess, rate=-9.0).seen(largest, 1.0, slip, np.zeros(4))
-    assert below == pytest.approx([0.0, 1.0, 2.0, 2.0])
+    peaks = replace(excess, rate=-9.0).seen(largest, 1.0, slip, np.zeros(4))
+    assert peaks == pytest.approx([0.0, 1.0, 2.0, 2.0])
 
 
 def test_the_bound_of_a_sum_adds_the_scatter_of_both_by_squares():
@@ -72,10 +72,10 @@ def test_no_predicted_peak_is_below_the_slip_force_of_its_draw(rate):
     run = open_run(DATA)
     peaks = dict.fromkeys(NO_EXCESS, PeakExcess(rate, 0.1, 0.5, 3.0))
     trace = Harmonic(1.0, 0.5, 2).trace(0.7)
-    drawn = properties_of(trace, run.predict(trace, draws=200).draws, peaks)
+    properties = properties_of(trace, run.predict(trace, draws=200).draws, peaks)
     for side in ("fwd", "bwd"):
-        assert np.all(drawn[f"peak_{side}"] >= drawn[f"slip_{side}"])
-        assert np.all(drawn[f"peak_{side}"] == drawn[f"slip_{side}"]) == (rate < 0.0)
+        assert np.all(properties[f"peak_{side}"] >= properties[f"slip_{side}"])
+        assert np.all(properties[f"peak_{side}"] == properties[f"slip_{side}"]) == (rate < 0.0)
     run = replace(
         run, manifest=run.manifest.changed(peak_excess={k: vars(e) for k, e in peaks.items()})
     )
@@ -93,6 +93,6 @@ def test_the_excess_is_learned_on_the_forces_to_which_it_is_applied(monkeypatch)
 
     monkeypatch.setattr(StoredTest, "values", with_static_friction)
     assert open_run(DATA).with_peaks().peaks == learned
-    alone = open_run(DATA)
-    vars(alone)["sequence"] = replace(alone.sequence, pooled=lambda _: {})
-    assert alone.with_peaks().peaks != learned  # a test's own posterior would be seen
+    isolated = open_run(DATA)
+    vars(isolated)["sequence"] = replace(isolated.sequence, pooled=lambda _: {})
+    assert isolated.with_peaks().peaks != learned  # a test's own posterior would be seen

@@ -53,22 +53,22 @@ def test_beyond_the_levels_laws_are_mixed_and_between_them_the_named_one_holds()
     )
     forecast = PredictionOptions(draws=DRAWS)
     for level in (0.5, 0.8, 1.4, 2.0):
-        one, other = (p.predict(motion(level), forecast) for p in (named, mixed))
-        np.testing.assert_array_equal(one.draws, other.draws)
+        pure, blend = (p.predict(motion(level), forecast) for p in (named, mixed))
+        np.testing.assert_array_equal(pure.draws, blend.draws)
     for level in (0.2, 5.0):
-        one, other = (p.predict(motion(level), forecast) for p in (named, mixed))
-        assert spread(other) > 5.0 * spread(one)
-        constant = np.abs(np.log(other.values["Fc_fwd"] / 1.3)) < 0.3
+        pure, blend = (p.predict(motion(level), forecast) for p in (named, mixed))
+        assert spread(blend) > 5.0 * spread(pure)
+        constant = np.abs(np.log(blend.values["Fc_fwd"] / 1.3)) < 0.3
         share = MIXED["constant"]
         assert abs(constant.mean() - share) < 4.0 * np.sqrt(share * (1.0 - share) / DRAWS)
-        law = np.median(one.values["Fc_fwd"]) / 1.3
+        law = np.median(pure.values["Fc_fwd"]) / 1.3
         assert law == pytest.approx(level, rel=0.02)
-        assert np.mean(other.upper - other.lower) > 1.5 * np.mean(one.upper - one.lower)
+        assert np.mean(blend.upper - blend.lower) > 1.5 * np.mean(pure.upper - pure.lower)
 
 
 def test_the_named_law_gives_the_median_and_its_slope():
-    made = predictor({"Fc_fwd": "power", "Fc_bwd": "affine"}, exponent=0.6, share=0.7, level_sd=0.0)
-    population = made.population
+    law = predictor({"Fc_fwd": "power", "Fc_bwd": "affine"}, exponent=0.6, share=0.7, level_sd=0.0)
+    population = law.population
     np.testing.assert_allclose(
         population.median("Fc_fwd", [0.5, 2.0])[0, 0], [1.3 * 0.5**0.6, 1.3 * 2**0.6]
     )
@@ -94,8 +94,8 @@ def test_without_actuation_a_law_without_an_intercept_leaves_no_friction():
     assert np.all(band.values["Fc_fwd"] < 1e-6)
     assert np.all(np.isfinite(band.draws))
     affine = predictor(dict.fromkeys(POWER, "affine"), tested=tested, share=0.7)
-    left = affine.predict(motion(0.0), PredictionOptions(draws=DRAWS)).values["Fc_fwd"]
-    assert np.median(left) == pytest.approx(1.3 * 0.3, rel=4.0 * 1.25 * 0.11 / np.sqrt(DRAWS))
+    friction = affine.predict(motion(0.0), PredictionOptions(draws=DRAWS)).values["Fc_fwd"]
+    assert np.median(friction) == pytest.approx(1.3 * 0.3, rel=4.0 * 1.25 * 0.11 / np.sqrt(DRAWS))
     with pytest.raises(FitError, match="an actuation above zero in at least one"):
         with_zeros([setting_of(motion(0.0))])
 
@@ -104,17 +104,17 @@ def test_along_a_history_friction_follows_its_law_and_levels_deviate():
     law = {"Fc_fwd": "power", "Fc_bwd": "power"}
     history = np.where(TIME < 2.0, 1.0, 2.0)
     force = {}
-    asked = PredictionOptions(draws=DRAWS, session="another")
+    forecast = PredictionOptions(draws=DRAWS, session="another")
     for effect in (1e-9, 0.2):
         effects = {"level_friction": effect}
-        made = predictor(law, exponent=0.5, scatter=1e-9, level_sd=0.0, effect=effects)
-        drawn = made.draw(motion(history), asked, np.random.default_rng(1))
-        force[effect] = drawn.scales["Fc_fwd"]
-        np.testing.assert_array_equal(drawn.scales["Fs_fwd"], drawn.scales["Fc_fwd"])
-    at, up = 0, -1
-    lawful = force[1e-9][:, up] / force[1e-9][:, at]
+        source = predictor(law, exponent=0.5, scatter=1e-9, level_sd=0.0, effect=effects)
+        draws = source.draw(motion(history), forecast, np.random.default_rng(1))
+        force[effect] = draws.scales["Fc_fwd"]
+        np.testing.assert_array_equal(draws.scales["Fs_fwd"], draws.scales["Fc_fwd"])
+    low, high = 0, -1
+    lawful = force[1e-9][:, high] / force[1e-9][:, low]
     np.testing.assert_allclose(lawful, 2.0**0.5, rtol=1e-6)
-    logs = np.log(force[0.2][:, up] / force[0.2][:, at])
+    logs = np.log(force[0.2][:, high] / force[0.2][:, low])
     # Matérn 3/2 an octave apart, with half the sd at twice the actuation
     r = np.sqrt(3.0)
     rho = (1.0 + r) * np.exp(-r)
@@ -126,45 +126,46 @@ def test_along_a_history_friction_follows_its_law_and_levels_deviate():
 # --- sessions, motions outside the tests
 
 
-@pytest.mark.parametrize("what", ["session", "device"])
-def test_a_new_session_or_device_is_wider_than_a_known_one(what):
-    tested = [replace(s, **{what: name}) for s, name in zip(settings(), "aab", strict=True)]
-    effect = {f"{what}_friction": 0.2}
-    made = predictor(tested=tested, effect=effect, scatter=0.05, level_sd=0.0)
-    known, new = (
-        made.predict(motion(), PredictionOptions(draws=DRAWS, **{what: n})) for n in ("a", "new")
+@pytest.mark.parametrize("grouping", ["session", "device"])
+def test_a_new_session_or_device_is_wider_than_a_known_one(grouping):
+    tested = [replace(s, **{grouping: name}) for s, name in zip(settings(), "aab", strict=True)]
+    effect = {f"{grouping}_friction": 0.2}
+    source = predictor(tested=tested, effect=effect, scatter=0.05, level_sd=0.0)
+    narrow, wide = (
+        source.predict(motion(), PredictionOptions(draws=DRAWS, **{grouping: n}))
+        for n in ("a", "new")
     )
     rel = 4.0 / np.sqrt(2.0 * DRAWS)
-    assert spread(known) == pytest.approx(0.05, rel=rel)
-    assert spread(new) == pytest.approx(np.hypot(0.05, 0.2), rel=rel)
-    mean = made.predict(motion(), PredictionOptions("mean", draws=DRAWS, **{what: "new"}))
+    assert spread(narrow) == pytest.approx(0.05, rel=rel)
+    assert spread(wide) == pytest.approx(np.hypot(0.05, 0.2), rel=rel)
+    mean = source.predict(motion(), PredictionOptions("mean", draws=DRAWS, **{grouping: "new"}))
     assert spread(mean) < 1e-6  # the mean property is that of the devices tested
 
 
 def test_a_motion_outside_the_tests_is_wider_and_one_inside_is_not():
-    made = predictor(scatter=0.02, level_sd=0.0, tested=settings(amplitudes=(0.5, 1.0, 1.5)))
-    inside = made.predict(motion(amplitude=1.0), PredictionOptions(draws=DRAWS))
-    assert spread(inside) == pytest.approx(0.02, rel=4.0 / np.sqrt(2.0 * DRAWS))
-    longer = made.predict(
+    source = predictor(scatter=0.02, level_sd=0.0, tested=settings(amplitudes=(0.5, 1.0, 1.5)))
+    interior = source.predict(motion(amplitude=1.0), PredictionOptions(draws=DRAWS))
+    assert spread(interior) == pytest.approx(0.02, rel=4.0 / np.sqrt(2.0 * DRAWS))
+    longer = source.predict(
         motion(amplitude=1.5 * np.e, rate=1.0 / np.e), PredictionOptions(draws=DRAWS)
     )
-    faster = made.predict(motion(rate=4.0), PredictionOptions(draws=DRAWS))
+    faster = source.predict(motion(rate=4.0), PredictionOptions(draws=DRAWS))
     assert spread(longer) > 0.15
-    assert spread(inside) < spread(faster) < spread(longer)
+    assert spread(interior) < spread(faster) < spread(longer)
 
 
 def test_a_dependence_on_the_stroke_holds_within_the_tested_strokes():
-    made = predictor(
+    law = predictor(
         tested=settings(amplitudes=(0.5, 1.0, 1.5)), dependence={"Fc_fwd": ("amplitude",)},
         scatter=1e-9, level_sd=0.0,
     )  # fmt: skip
-    z = made.population.draws.z
-    begin = len(made.population.design.names)
+    z = law.population.draws.z
+    begin = len(law.population.design.names)
     z[..., begin] = -0.3
-    assert np.all(made.population.dependences["Fc_fwd_amplitude"] == -0.3)
+    assert np.all(law.population.dependences["Fc_fwd_amplitude"] == -0.3)
     middles = {
         x: np.median(
-            np.log(made.predict(motion(amplitude=x), PredictionOptions(draws=50)).values["Fc_fwd"])
+            np.log(law.predict(motion(amplitude=x), PredictionOptions(draws=50)).values["Fc_fwd"])
         )
         for x in (0.5, 1.0, 1.5)
     }
@@ -177,16 +178,16 @@ def test_a_dependence_on_the_stroke_holds_within_the_tested_strokes():
 
 def test_a_band_of_whole_curves_holds_its_share_of_new_ones():
     rng, probability = np.random.default_rng(5), 0.95
-    drawn, fresh = (np.cumsum(rng.standard_normal((4000, 40)), axis=1) for _ in "ab")
-    lower, upper = whole_band(drawn, probability)
+    draws, fresh = (np.cumsum(rng.standard_normal((4000, 40)), axis=1) for _ in "ab")
+    lower, upper = whole_band(draws, probability)
     share = np.mean(np.all((fresh >= lower) & (fresh <= upper), axis=1))
     assert share == pytest.approx(probability, abs=6.0 * np.sqrt(0.25 / 4000))
-    low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
+    low, high = np.quantile(draws, [0.025, 0.975], axis=0)
     assert np.all((lower <= low) & (upper >= high))
     # the control: the band of single samples holds far fewer
     assert np.mean(np.all((fresh >= low) & (fresh <= high), axis=1)) < probability - 0.1
-    assert holds_whole(drawn, np.zeros(40))
-    assert not holds_whole(drawn, np.full(40, 1e3))
+    assert holds_whole(draws, np.zeros(40))
+    assert not holds_whole(draws, np.full(40, 1e3))
 
 
 def test_each_source_of_the_width_is_named_by_what_varies():
@@ -194,8 +195,8 @@ def test_each_source_of_the_width_is_named_by_what_varies():
         ({"Fc_fwd": 0.2}, "test-to-test scatter of forward slip force"),
         ({"d2": 0.3}, "test-to-test scatter of gap"),
     ):
-        made = predictor(scatter=scatter, level_sd=0.0)
-        band = made.predict(motion(), PredictionOptions(draws=200))
+        scattered = predictor(scatter=scatter, level_sd=0.0)
+        band = scattered.predict(motion(), PredictionOptions(draws=200))
         assert max(band.variance_shares, key=band.variance_shares.get) in (
             source,
             "start in the gap",
@@ -217,12 +218,12 @@ def test_each_source_of_the_width_is_named_by_what_varies():
 
 def test_a_discrepancy_is_added_in_proportion_to_the_slip_force():
     knots = np.full(32, 0.1)
-    plain, shifted = (
+    unbiased, shifted = (
         predictor(POWER, scatter=1e-9, level_sd=0.0, residual=r)
         for r in (no_residual(), no_residual(mean=knots, slip_force=1.45))
     )
     for level in (1.0, 2.0):
-        pair = [p.predict(motion(level), PredictionOptions(draws=10)) for p in (plain, shifted)]
+        pair = [p.predict(motion(level), PredictionOptions(draws=10)) for p in (unbiased, shifted)]
         late = slice(110, None)  # after the first full strokes
         difference = (pair[1].median - pair[0].median)[late]
         assert np.abs(difference).max() == pytest.approx(0.1 * level, rel=0.1)
@@ -238,12 +239,12 @@ def test_another_kind_or_stroke_never_begins_as_repeats_did():
     weights = np.zeros((2, SHAPES.size))
     weights[1, -1] = 1.0  # as of many tests that began exactly where their motions end
     tested = [replace(setting_of(SINE), actuation=p) for p in (0.5, 1.0, 2.0)]
-    made = predictor(tested=tested, scatter=1e-9, level_sd=0.0, starts=InitialGapPrior(weights))
+    source = predictor(tested=tested, scatter=1e-9, level_sd=0.0, starts=InitialGapPrior(weights))
 
     def uniformity(x):
         trace = Trace.from_arrays(LONG, x, 1.0)
-        drawn = made.draw(trace, PredictionOptions(draws=DRAWS), np.random.default_rng(1))
-        return stats.kstest(drawn.unshared["start"], "uniform").pvalue
+        draws = source.draw(trace, PredictionOptions(draws=DRAWS), np.random.default_rng(1))
+        return stats.kstest(draws.unshared["start"], "uniform").pvalue
 
     sine = np.sin(np.pi * LONG)
     assert uniformity(sine) < 1e-20  # the control
@@ -258,35 +259,35 @@ def test_another_kind_or_stroke_never_begins_as_repeats_did():
 
 
 def test_starts_that_are_learned_of_are_those_of_the_tests():
-    left = np.array([0.2, 0.7, 0.35, 0.6, 0.8, 0.3])
+    final = np.array([0.2, 0.7, 0.35, 0.6, 0.8, 0.3])
     numbers = np.random.default_rng(2).standard_normal((DRAWS, 2))
 
-    def places(begun, ends):
-        starts = InitialGapPrior.learned(np.tile(begun, (100, 1)), ends, [None] * begun.size)
-        found = starts.place(numbers, 0.75, None, repeat=True)
-        return np.median(found), np.mean(np.abs(found - 0.75) < 0.15)
+    def places(initial, ends):
+        starts = InitialGapPrior.learned(np.tile(initial, (100, 1)), ends, [None] * initial.size)
+        positions = starts.place(numbers, 0.75, None, repeat=True)
+        return np.median(positions), np.mean(np.abs(positions - 0.75) < 0.15)
 
-    middle, near = places(left + np.array([0.03, -0.02, 0.01, 0.0, -0.03, 0.02]), left)
+    middle, share = places(final + np.array([0.03, -0.02, 0.01, 0.0, -0.03, 0.02]), final)
     assert middle == pytest.approx(0.75, abs=0.06)
-    assert near > 0.6
+    assert share > 0.6
     assert places(np.full(6, 0.5), None)[0] == pytest.approx(0.5, abs=0.03)
-    assert places(1.0 - left, left)[1] < 0.4  # the control: they began elsewhere
-    assert places(left[:1] + 0.03, left[:1])[1] < near  # one test says less than six
+    assert places(1.0 - final, final)[1] < 0.4  # the control: they began elsewhere
+    assert places(final[:1] + 0.03, final[:1])[1] < share  # one test says less than six
 
 
 def test_tests_that_began_without_load_make_others_begin_without_load():
-    begun = np.tile([0.45, 0.5, 0.55], (200, 1))
+    initial = np.tile([0.45, 0.5, 0.55], (200, 1))
     ends = [(np.full(200, 0.4), np.full(200, 0.6))] * 3
-    learned = InitialGapPrior.learned(begun, None, ends)
+    learned = InitialGapPrior.learned(initial, None, ends)
     assert 0.75 < learned.unloaded <= 0.95
     loaded = InitialGapPrior.learned(np.tile([0.1, 0.9, 0.05], (200, 1)), None, ends)
     assert loaded.unloaded < 0.05
     numbers = np.random.default_rng(4).standard_normal((DRAWS, 2))
     ends = np.full(DRAWS, 0.4), np.full(DRAWS, 0.6)
-    found = learned.place(numbers, None, ends, repeat=False)
-    inside = np.mean((found >= 0.4) & (found <= 0.6))
+    positions = learned.place(numbers, None, ends, repeat=False)
+    share = np.mean((positions >= 0.4) & (positions <= 0.6))
     expected = learned.unloaded + 0.2 * (1.0 - learned.unloaded)
-    assert abs(inside - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / DRAWS)
+    assert abs(share - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / DRAWS)
 
 
 @pytest.mark.parametrize("name", ["three_stage", "backlash"])

@@ -38,7 +38,7 @@ def population():
         log_shape=0.1 * rng.normal(size=32), slip_force=1.3, lag_one=0.4, noise_time=0.05,
     )  # fmt: skip
     weights = rng.random((2, SHAPES.size))
-    made = make_population(
+    source = make_population(
         [
             setting_of(motion(p, x), s)
             for p, s, x in ((0.5, "a", 1), (0.8, "b", 1.5), (1.5, "b", 1))
@@ -54,9 +54,9 @@ def population():
         residual=residual,
         starts=InitialGapPrior(weights / weights.sum(), 0.4),
     )
-    made.draws.z[...] += 0.01 * rng.normal(size=made.draws.z.shape)
-    object.__setattr__(made, "walkers", 6)
-    return made
+    source.draws.z[...] += 0.01 * rng.normal(size=source.draws.z.shape)
+    object.__setattr__(source, "walkers", 6)
+    return source
 
 
 @pytest.fixture(scope="module")
@@ -67,27 +67,27 @@ def stored(tmp_path_factory, population):
 
 
 def test_predictions_and_what_tables_show_come_back_bit_by_bit(population, stored, priors):
-    back = load_population(stored, priors)
+    loaded = load_population(stored, priors)
     for actuation, kind, session in (
         (0.8, "mean", "b"),
         (3.0, "new_test", "new"),
         (np.linspace(0.5, 1.5, TIME.size), "observation", "b"),
     ):
         forecast = PredictionOptions(kind, draws=30, seed=3, session=session)
-        first, again = (
+        original, again = (
             Predictor(p, ThreeStage(), find_noise("iid")).predict(motion(actuation), forecast)
-            for p in (population, back)
+            for p in (population, loaded)
         )
-        np.testing.assert_array_equal(first.draws, again.draws)
-        assert np.all(np.isfinite(first.draws))
-    for what in ("slopes", "scatters", "effect_sds", "dependences"):
-        assert getattr(back, what).keys() == getattr(population, what).keys() != set()
-        for name, values in getattr(population, what).items():
-            np.testing.assert_array_equal(getattr(back, what)[name], values)
-    assert back.law_weights == population.law_weights
-    assert (back.actuation_unit, back.walkers, back.common) == ("ksi", 6, population.common)
+        np.testing.assert_array_equal(original.draws, again.draws)
+        assert np.all(np.isfinite(original.draws))
+    for attribute in ("slopes", "scatters", "effect_sds", "dependences"):
+        assert getattr(loaded, attribute).keys() == getattr(population, attribute).keys() != set()
+        for name, values in getattr(population, attribute).items():
+            np.testing.assert_array_equal(getattr(loaded, attribute)[name], values)
+    assert loaded.law_weights == population.law_weights
+    assert (loaded.actuation_unit, loaded.walkers, loaded.common) == ("ksi", 6, population.common)
     for name, values in vars(population.convergence).items():
-        np.testing.assert_array_equal(getattr(back.convergence, name), values)
+        np.testing.assert_array_equal(getattr(loaded.convergence, name), values)
 
 
 def test_facts_that_do_not_fit_together_are_refused(stored, tmp_path, priors):
@@ -103,8 +103,8 @@ def test_facts_that_do_not_fit_together_are_refused(stored, tmp_path, priors):
         shutil.copy(stored, path)
         with h5py.File(path, "r+") as file:
             facts = json.loads(file["posterior"].attrs["facts"]) | {key: value}
-            kept = {name: fact for name, fact in facts.items() if fact is not None}
-            file["posterior"].attrs["facts"] = json.dumps(kept)
+            present = {name: fact for name, fact in facts.items() if fact is not None}
+            file["posterior"].attrs["facts"] = json.dumps(present)
         words = "another version.*run mfd-bayes calibrate" if key == "format" else "is damaged"
         with pytest.raises(StoreError, match=rf"population\.nc.* {words}"):
             load_population(path, priors)

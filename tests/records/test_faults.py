@@ -206,10 +206,10 @@ def test_the_samples_of_a_fault_are_given():
     assert fault.samples.size > 0.8 * np.count_nonzero(force >= 0.9)
     assert names(time, motion, np.clip(force, -0.9, 0.9)) == ["clipping", "clipping"]
     for signal in (1, 2):
-        arrays, at = [values.copy() for values in CLEAN], [333, 1000, 1777]
-        arrays[signal][at] += 1.0
+        arrays, indices = [values.copy() for values in CLEAN], [333, 1000, 1777]
+        arrays[signal][indices] += 1.0
         spikes = next(fault for fault in faults(*arrays) if fault.name == "spikes")
-        assert spikes.samples.tolist() == at
+        assert spikes.samples.tolist() == indices
         assert "3 isolated samples" in str(spikes.message)
     time, motion, force = signals(rate=20.0)  # of few samples
     force[[0, 90, 91, 200]] = 9.999
@@ -221,13 +221,13 @@ def test_some_faults_depend_on_the_gap():
     long = signals(amplitude=10.0)
     long = (long[0], stepped(long[1], 0.05), long[2])
     slow, small = signals(rate=20.0), signals(amplitude=0.07)
-    for name, arrays, other in (
+    for name, arrays, gap in (
         ("resolution", long, None),
         ("rate", slow, None),
         ("stroke", small, 0.1),
     ):
         assert name in names(*arrays)
-        assert name not in names(*arrays, gap=other)
+        assert name not in names(*arrays, gap=gap)
 
 
 def test_a_short_record_is_named_and_the_gravest_fault_comes_first():
@@ -246,8 +246,8 @@ def test_a_drift_is_seen_although_most_cycles_ramp():
     force += 0.002 * np.random.default_rng(0).normal(size=time.size)
     assert "drift" not in names(time, motion, force)
     assert "drift" in names(time, motion, force + 0.8 * time / time[-1])
-    back = force + 0.4 * np.sin(np.pi * time / 20.0)  # it comes back: no drift
-    assert "drift" not in names(time, motion, back)
+    returning = force + 0.4 * np.sin(np.pi * time / 20.0)  # it comes back: no drift
+    assert "drift" not in names(time, motion, returning)
 
 
 def test_a_velocity_must_be_that_of_the_displacement():
@@ -255,7 +255,7 @@ def test_a_velocity_must_be_that_of_the_displacement():
     noise = np.random.default_rng(3).normal(0.0, 2e-3, time.size)
     motion = stepped(np.sin(np.pi * time) + noise, 1 / 500)
     velocity = np.pi * np.cos(np.pi * time) + 0.05  # with a zero that is a little off
-    for given, wrong in (
+    for measured, wrong in (
         (velocity, False),
         (1.1 * velocity, False),
         (-velocity, True),
@@ -264,8 +264,8 @@ def test_a_velocity_must_be_that_of_the_displacement():
         (0.0 * velocity, True),
         (velocity[::-1] ** 2, True),
     ):
-        found = names(time, motion, np.sign(velocity), velocity=given)
-        assert ("velocity" in found) == wrong
+        fault_names = names(time, motion, np.sign(velocity), velocity=measured)
+        assert ("velocity" in fault_names) == wrong
 
 
 # --- what inspect says
@@ -316,8 +316,8 @@ def test_a_tremble_at_the_turns_begins_no_cycle(tmp_path):
         motion = MOTION.copy()
         for side in sides:
             for top in np.flatnonzero(np.diff(np.sign(np.diff(side * MOTION))) < 0) + 1:
-                for first in (top - 2 * samples, top, top + 2 * samples):
-                    motion[max(first, 0) : max(first, 0) + samples] -= side * 2.0 * share
+                for start in (top - 2 * samples, top, top + 2 * samples):
+                    motion[max(start, 0) : max(start, 0) + samples] -= side * 2.0 * share
         loops, frequency, energy, offset = figures(inspected(tmp_path, motion, force_of(MOTION))[0])
         assert (loops, frequency) == (9, pytest.approx(0.5, rel=0.03))
         assert energy == pytest.approx(3.9, rel=0.02 if share <= 0.01 else 0.12)
@@ -338,10 +338,10 @@ def test_small_cycles_of_a_loading_protocol_are_cycles(tmp_path):
 @pytest.mark.parametrize("signal", [0, 1])
 def test_overflow_values_are_named_alone_and_left_out(tmp_path, signal):
     sound = figures(inspected(tmp_path, MOTION, force_of(MOTION))[0])
-    at_a_turn, between = list(range(330, 390)), list(range(900, 960))
-    for value, at in ((1e6, [0]), (-9999.0, [700, 701, 702]), (1e6, between), (1e6, at_a_turn)):
+    at_a_turn, midway = list(range(330, 390)), list(range(900, 960))
+    for value, rows in ((1e6, [0]), (-9999.0, [700, 701, 702]), (1e6, midway), (1e6, at_a_turn)):
         arrays = [MOTION.copy(), force_of(MOTION)]
-        arrays[signal][at] = value
+        arrays[signal][rows] = value
         facts, warned = inspected(tmp_path, *arrays)
         assert warned == ["spikes"]
         assert figures(facts) == pytest.approx(sound, rel=0.01, abs=0.01)
@@ -350,21 +350,21 @@ def test_overflow_values_are_named_alone_and_left_out(tmp_path, signal):
 
 @pytest.mark.parametrize("lost", [CYCLE // 10, CYCLE // 2])
 def test_a_lost_block_and_a_frozen_channel_are_named(tmp_path, lost):
-    first = CYCLE * 5 - CYCLE // 3  # in the middle of a stroke
+    start = CYCLE * 5 - CYCLE // 3  # in the middle of a stroke
     force = force_of(MOTION)
-    kept = np.delete(np.arange(MOTION.size), np.arange(first, first + lost))
-    assert "jump" in inspected(tmp_path, MOTION[kept], force[kept])[1]
+    rows = np.delete(np.arange(MOTION.size), np.arange(start, start + lost))
+    assert "jump" in inspected(tmp_path, MOTION[rows], force[rows])[1]
     for signal in (0, 1) if lost == CYCLE // 2 else (0,):  # a force may slip at one value
         arrays = [MOTION.copy(), force.copy()]
-        arrays[signal][first : first + lost] = arrays[signal][first]
+        arrays[signal][start : start + lost] = arrays[signal][start]
         assert "held" in inspected(tmp_path, *arrays)[1]
     assert inspected(tmp_path, MOTION, force)[1] == []
 
 
 def test_a_zero_that_moves_by_a_tenth_of_the_stroke_is_named(tmp_path):
-    for by, over in ((0.2, 1), (-0.2, CYCLE)):
-        since = np.clip((np.arange(MOTION.size) - 5 * CYCLE) / over, 0.0, 1.0)
-        assert "displacement zero" in inspected(tmp_path, MOTION + by * since, force_of(MOTION))[1]
+    for step, duration in ((0.2, 1), (-0.2, CYCLE)):
+        ramp = np.clip((np.arange(MOTION.size) - 5 * CYCLE) / duration, 0.0, 1.0)
+        assert "displacement zero" in inspected(tmp_path, MOTION + step * ramp, force_of(MOTION))[1]
 
 
 def columns_of(folder, **columns):
@@ -391,11 +391,11 @@ def test_loops_judge_the_columns_that_are_not_used(tmp_path):
     ((name, words),) = columns_of(tmp_path, **outer, slip_in=motion)
     assert name == "other column"
     assert "'slip_in' and 0.2" in words
-    said = columns_of(
+    remarks = columns_of(
         tmp_path, time_s=time, displacement_in=motion, p_kip=vertical, q_kip=force, r_kip=vertical
     )
-    assert [name for name, _ in said] == ["other column", "no force"]
-    assert "'q_kip'" in said[0][1]
+    assert [name for name, _ in remarks] == ["other column", "no force"]
+    assert "'q_kip'" in remarks[0][1]
 
 
 # --- the name of a file
@@ -415,7 +415,7 @@ def named(folder, name, actuation=None, column=""):
 def test_a_name_that_the_record_contradicts_is_named_and_no_other(tmp_path):
     agree = ("36lb_0.25Hz_1.0in", "0p25hz_1in", "25.4mm 0.25 Hz", "test_2in", "amp_1.0in_64Hz")
     nothing = ("harmonic0.03ea1forward", "run3in_lab", "p500_f9", "5in_1in")
-    for name, given, words in (
+    for name, options, words in (
         *((name, {}, "") for name in (*agree, *nothing)),
         ("36lb_0.25Hz_1.5in", {}, "says 1.5in, but the record has an amplitude of 1 in"),
         ("1.0in_0.1Hz", {}, "0.25 Hz"),
@@ -424,9 +424,9 @@ def test_a_name_that_the_record_contradicts_is_named_and_no_other(tmp_path):
         ("5MPa", {"column": "actuation_MPa"}, "but its column has an actuation of 7 MPa"),
         ("36lb_a", {"actuation": "500 psi"}, ""),  # of another kind: not compared
     ):
-        said = named(tmp_path, name, **given)
-        assert len(said) == bool(words), name
-        assert all(words in sentence for sentence in said)
+        remarks = named(tmp_path, name, **options)
+        assert len(remarks) == bool(words), name
+        assert all(words in sentence for sentence in remarks)
 
 
 def test_real_records_raise_no_false_alarm(data_folder, tmp_path):
@@ -457,8 +457,8 @@ def trace_of(level, seed, *, length=1.0, force=1.0, actuation=1.0, noise=0, thet
         values[:, 3:7] *= slip
     clean = ThreeStage().force(values, mb.Trace.from_arrays(time, x, 0.03))[0]
     clean += 0.15 * slip * x**2  # both directions differ
-    own = np.random.default_rng(100 + seed + 1000 * noise)
-    measured = force * (clean + 0.03 * own.normal(size=time.size))
+    noise_rng = np.random.default_rng(100 + seed + 1000 * noise)
+    measured = force * (clean + 0.03 * noise_rng.normal(size=time.size))
     return mb.Trace.from_arrays(time, length * x, actuation * level / 1000.0, measured)
 
 
@@ -529,18 +529,18 @@ def test_an_actuation_that_is_wrong_by_ten_or_in_another_unit_is_named():
 def test_two_exchanged_actuations_are_named_both(i, j):
     levels = dict(enumerate(LEVELS)) | {i: LEVELS[j], j: LEVELS[i]}
     pairs = enumerate(LEVELS)
-    tests = [put(f"r{n}", trace_of(at, n, actuation=levels[n] / at)) for n, at in pairs]
-    said = compared(tests)
-    assert [(name, kind) for name, kind, _ in said] == [(f"r{k}", "actuation") for k in (i, j)]
-    assert f"its actuation and that of r{j}" in said[0][2]
-    assert all("probably exchanged" in sentence for *_, sentence in said)
+    tests = [put(f"r{n}", trace_of(level, n, actuation=levels[n] / level)) for n, level in pairs]
+    remarks = compared(tests)
+    assert [(name, kind) for name, kind, _ in remarks] == [(f"r{k}", "actuation") for k in (i, j)]
+    assert f"its actuation and that of r{j}" in remarks[0][2]
+    assert all("probably exchanged" in sentence for *_, sentence in remarks)
 
 
 def test_an_exchange_that_nothing_tells_is_not_named():
     for levels in ((20, 35), (35, 20, 60), (20, 30, 35, 60, 80)):
         loads = sorted(levels)  # of the loops
         pairs = enumerate(zip(levels, loads, strict=True))
-        tests = [put(f"r{n}", trace_of(at, n, actuation=to / at)) for n, (to, at) in pairs]
+        tests = [put(f"r{n}", trace_of(level, n, actuation=to / level)) for n, (to, level) in pairs]
         assert compared(tests) == []
 
 
@@ -561,14 +561,14 @@ SESSION = ((20, 0.97), (25, 1.62), (35, 2.06), (70, 2.48), (80, 2.86))
 def test_a_mistake_among_five_scattered_tests_is_named(k, actuation, force, words):
     tests = []
     for n, (level, slip) in enumerate(SESSION):
-        given = actuation if n == k and actuation else f"{level} lbf"
-        number, unit = given.split()
-        by = float(number) * actuation_factor(unit)[0] * 1000.0 / level
+        text = actuation if n == k and actuation else f"{level} lbf"
+        number, unit = text.split()
+        ratio = float(number) * actuation_factor(unit)[0] * 1000.0 / level
         size = slip / (0.4 * level**0.5) * (force if n == k else 1.0)
-        tests.append(put(f"t{n}", trace_of(level, n, force=size, actuation=by), given))
-    said = compared(tests)
-    assert [name for name, *_ in said] == ([f"t{k}"] if words else [])
-    assert all(words in sentence for *_, sentence in said)
+        tests.append(put(f"t{n}", trace_of(level, n, force=size, actuation=ratio), text))
+    remarks = compared(tests)
+    assert [name for name, *_ in remarks] == ([f"t{k}"] if words else [])
+    assert all(words in sentence for *_, sentence in remarks)
 
 
 def test_a_test_with_half_of_its_neighbours_force_is_named():
@@ -580,7 +580,7 @@ def test_a_test_with_half_of_its_neighbours_force_is_named():
         ((20, 35, 80), (1.0, 1.4, 2.0), []),
     ):
         pairs = zip(levels, sizes, strict=True)
-        tests = [put(f"r{n}", trace_of(at, n, force=by)) for n, (at, by) in enumerate(pairs)]
+        tests = [put(f"r{n}", trace_of(p, n, force=factor)) for n, (p, factor) in enumerate(pairs)]
         assert [name for name, _, _ in compared(tests)] == odd
 
 
@@ -588,8 +588,8 @@ def test_a_test_with_half_of_its_neighbours_force_is_named():
 
 
 def sampled_anew(trace, rate, begin, end):
-    last = trace.time[-1]
-    grid = np.arange(begin * last, end * last, 1.0 / rate)
+    duration = trace.time[-1]
+    grid = np.arange(begin * duration, end * duration, 1.0 / rate)
     motion, force = (np.interp(grid, trace.time, v) for v in (trace.displacement, trace.force))
     return mb.Trace.from_arrays(grid - grid[0], motion, 0.035, force)
 
@@ -606,14 +606,14 @@ def test_a_record_that_was_cut_or_sampled_anew_is_named_once():
 
 
 def test_a_test_that_was_repeated_is_no_duplicate():
-    first = trace_of(35.0, 2)
-    for other in (
+    trace = trace_of(35.0, 2)
+    for variant in (
         trace_of(35.0, 3),
         trace_of(35.0, 2, noise=1, force=1.02),  # as near as a copy, but of other noise
         trace_of(35.0, 2, force=1.05),
     ):
-        assert compared([put("a", first), put("b", other)]) == []
-    smooth = np.sin(np.pi * first.time) + 0.2 * np.sin(0.4 * np.pi * first.time)
-    quiet = mb.Trace.from_arrays(first.time, first.displacement, 0.035, smooth)
+        assert compared([put("a", trace), put("b", variant)]) == []
+    smooth = np.sin(np.pi * trace.time) + 0.2 * np.sin(0.4 * np.pi * trace.time)
+    quiet = mb.Trace.from_arrays(trace.time, trace.displacement, 0.035, smooth)
     tests = [put("a", quiet), put("b", sampled_anew(quiet, 250, 0.0, 1.0))]
     assert [kind for _, kind, _ in compared(tests)] == ["duplicate"]

@@ -91,18 +91,18 @@ def sheets(folder, **content):
     return folder / "a.xlsx"
 
 
-def workbook(*above, first=1):
+def workbook(*heading, start_column=1):
     return lambda folder: sheets(
-        folder, A=[[None] * (first - 1) + list(line) for line in (*above, *ROWS.tolist())]
+        folder, A=[[None] * (start_column - 1) + list(line) for line in (*heading, *ROWS.tolist())]
     )
 
 
-def tdms(*channels, parts=1):
+def tdms(*channels, repeats=1):
     """File of (group, channel, values, properties), written so many times."""
 
     def write(folder):
         with TdmsWriter(folder / "a.tdms") as writer:
-            for _ in range(parts):
+            for _ in range(repeats):
                 writer.write_segment([ChannelObject(*channel) for channel in channels])
         return folder / "a.tdms"
 
@@ -182,7 +182,7 @@ LAYOUTS = {
     ),
     "Excel: titles and a row of units": layout(workbook(*HEAD, UNITS.values())),
     "Excel: without a header, from column B": layout(
-        workbook(["rig 2"], first=2), 2, 3, 4, units=UNITS
+        workbook(["rig 2"], start_column=2), 2, 3, 4, units=UNITS
     ),
     "TDMS: a time in one of two groups": layout(
         tdms(CLOCK, ("Rig", "x", TRAVEL, MM), ("Rig", "f", FORCE, N)), "t", "x", "f"
@@ -292,9 +292,9 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False, width=64)
 def test_numbers_of_text_come_back_to_the_last_bit(
     tmp_path, values, separator, end, encoding, heading, note
 ):
-    more = f"{separator}note" if note else ""
-    rows = [f"{a!r}{separator}{b!r}{more}" for a, b in values]
-    content = heading + "\n".join([f"Zeit°{separator}Kraft{more}", *rows]) + "\n"
+    suffix = f"{separator}note" if note else ""
+    rows = [f"{a!r}{separator}{b!r}{suffix}" for a, b in values]
+    content = heading + "\n".join([f"Zeit°{separator}Kraft{suffix}", *rows]) + "\n"
     path = put(tmp_path, content.replace("\n", end).encode(encoding), "a.txt")
     columns = read_table(path).columns(["Zeit°", "Kraft"])
     np.testing.assert_array_equal(np.column_stack([columns["Zeit°"], columns["Kraft"]]), values)
@@ -378,8 +378,8 @@ def test_files_that_are_none_or_cut_off_are_refused_and_nothing_is_unpickled(tmp
     assert "'.pkl'" in refusal(put(tmp_path, pickle.dumps({"a": [1]}), "a.pkl"))
     book = sheets(tmp_path, Data=[["t", "x"], *SHORT]).read_bytes()
     file = matlab({"x": TIME, "y": TIME})(tmp_path).read_bytes()
-    for name, whole, words in (("a.xlsx", book, "Excel"), ("a.mat", file, "")):
-        for content in (b"PK none" * 90, whole[: len(whole) // 10], whole[: len(whole) // 2]):
+    for name, intact, words in (("a.xlsx", book, "Excel"), ("a.mat", file, "")):
+        for content in (b"PK none" * 90, intact[: len(intact) // 10], intact[: len(intact) // 2]):
             assert words in refusal(put(tmp_path, content, name))
         (tmp_path / name).unlink()
     locked = bytes.fromhex("D0CF11E0A1B11AE1") + bytes(600)
@@ -431,7 +431,7 @@ def test_of_sheets_the_one_with_a_table_is_read_and_a_copy_is_named(tmp_path):
 
 
 def test_a_cell_without_a_number_is_named_by_its_row_and_column(tmp_path):
-    for cell, shown in (
+    for cell, expected in (
         (None, "an empty cell"),
         ("#DIV/0!", "'#DIV/0!'"),
         (True, "'TRUE'"),
@@ -442,14 +442,14 @@ def test_a_cell_without_a_number_is_named_by_its_row_and_column(tmp_path):
         path = sheets(tmp_path, Data=rows)
         message = refusal(path, ["t", "x"])
         assert message.startswith(f"row 3 of sheet 'Data' of {path}, column 'x'")
-        assert shown in message
+        assert expected in message
 
 
 # --- TDMS
 
 
 def test_the_increments_of_waveforms_make_a_time_for_each_group(tmp_path):
-    table = read_table(tdms(("G", "x", FORCE, WAVE), ("G", "F", FORCE, WAVE), parts=2)(tmp_path))
+    table = read_table(tdms(("G", "x", FORCE, WAVE), ("G", "F", FORCE, WAVE), repeats=2)(tmp_path))
     assert table.names == ("time", "x", "F")
     np.testing.assert_allclose(table.columns(["time", "x"])["time"], np.arange(800) / 50)
     slow = WAVE | {"wf_increment": 0.1, "wf_start_offset": 0.5}
@@ -479,8 +479,8 @@ def tdms_part(samples, data=b"", *, follows=None):
     """Part of a file with a channel x of so many doubles, and other data than these."""
     listed = struct.pack("<LL", 1, 8) + b"/'G'/'x'"
     listed += struct.pack("<LLLQL", 20, 10, 1, samples, 0)
-    after = len(listed) + len(data) if follows is None else follows
-    return struct.pack("<4sLLQQ", b"TDSm", 14, 4713, after, len(listed)) + listed + data
+    offset = len(listed) + len(data) if follows is None else follows
+    return struct.pack("<4sLLQQ", b"TDSm", 14, 4713, offset, len(listed)) + listed + data
 
 
 TEN = np.arange(10.0).tobytes()
@@ -491,8 +491,8 @@ def test_a_file_that_is_cut_off_or_declares_what_it_has_not_is_refused(tmp_path,
     assert "holds 390" in refusal(put(tmp_path, path.read_bytes()[:-80], "a.tdms"), ["x"])
     content = tdms_part(2**63, TEN, follows=2**64 - 1)
     assert "holds 10" in refusal(put(tmp_path, content, "a.tdms"), ["x"])
-    whole = put(tmp_path, tdms_part(5, TEN, follows=2**64 - 1), "a.tdms")  # never closed
-    np.testing.assert_array_equal(read_table(whole).columns(["x"])["x"], np.arange(10))
+    unclosed = put(tmp_path, tdms_part(5, TEN, follows=2**64 - 1), "a.tdms")  # never closed
+    np.testing.assert_array_equal(read_table(unclosed).columns(["x"])["x"], np.arange(10))
     for content in (b"hello world" * 9, b"TDSm" + bytes(90), b"TDSh" + bytes(90)):
         assert "TDMS" in refusal(put(tmp_path, content, "a.tdms"))
     with TdmsWriter(path) as writer:
@@ -502,9 +502,9 @@ def test_a_file_that_is_cut_off_or_declares_what_it_has_not_is_refused(tmp_path,
 
 
 def test_the_file_itself_is_read_and_not_an_index_beside_it(tmp_path):
-    other = tdms(("G", "y", FORCE))(tmp_path).read_bytes()
+    decoy = tdms(("G", "y", FORCE))(tmp_path).read_bytes()
     path = tdms(("G", "x", TIME))(tmp_path)
-    path.with_name("a.tdms_index").write_bytes(b"TDSh" + other[4:])
+    path.with_name("a.tdms_index").write_bytes(b"TDSh" + decoy[4:])
     assert read_table(path).names == ("x",)
 
 
@@ -513,11 +513,11 @@ def test_the_file_itself_is_read_and_not_an_index_beside_it(tmp_path):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a process is copied as on Linux")
 def test_binary_files_are_read_beside_threads_in_a_process_that_may_die(tmp_path, monkeypatch):
-    path, done = matlab({"t_s": TIME, "x_mm": TRAVEL})(tmp_path), threading.Event()
-    thread = threading.Thread(target=done.wait)
+    path, stop = matlab({"t_s": TIME, "x_mm": TRAVEL})(tmp_path), threading.Event()
+    thread = threading.Thread(target=stop.wait)
     thread.start()
     np.testing.assert_array_equal(read_table(path).columns(["x_mm"])["x_mm"], TRAVEL)
-    done.set()
+    stop.set()
     thread.join()
     monkeypatch.setattr("scipy.io.loadmat", lambda *_, **__: os.kill(os.getpid(), signal.SIGSEGV))
     refusal(path)

@@ -28,8 +28,8 @@ TIME = np.arange(0.0, 8.0, 1 / 500)
 def ellipse(cycles=6, force=True, grow=0.0):
     """Trace of amplitude 1 in at 0.5 Hz whose force is a circle about 0.2 kip, with a drift."""
     time = np.arange(int(200 * cycles) + 1) / 100.0
-    angle, by = np.pi * time, grow * time / time[-1]
-    load = 0.2 + (1 + by) * np.cos(angle) + by
+    angle, drift = np.pi * time, grow * time / time[-1]
+    load = 0.2 + (1 + drift) * np.cos(angle) + drift
     return Trace.from_arrays(time, np.sin(angle), force=load if force else None)
 
 
@@ -86,11 +86,11 @@ def test_a_loop_of_straight_lines_is_read_as_it_was_drawn(offset, ramp):
     assert read["build_up_slope"] == pytest.approx(SLOPE, rel=0.02)
     assert read["gap"] == pytest.approx(GAP, rel=0.02)
     assert read["energy"] == pytest.approx(loops.energy[loops.strong].mean())
-    for by in (1.0, 1e-3):  # a device of any size
-        arrays = by * trace.displacement, 0.03, by * (trace.force + offset)
+    for size in (1.0, 1e-3):  # a device of any size
+        arrays = size * trace.displacement, 0.03, size * (trace.force + offset)
         scales = scales_of(Trace.from_arrays(trace.time, *arrays))
-        found = scales.force / by, scales.build_up, scales.length / by, scales.stroke / by
-        assert found == pytest.approx((2.25, SLOPE, GAP, 2.0), rel=0.05)
+        measured = scales.force / size, scales.build_up, scales.length / size, scales.stroke / size
+        assert measured == pytest.approx((2.25, SLOPE, GAP, 2.0), rel=0.05)
 
 
 @settings(deadline=None)
@@ -111,32 +111,32 @@ def test_a_spring_and_a_dashpot_have_their_textbook_values(
     assert cycles.full_stroke.all()
     np.testing.assert_allclose(cycles.stroke, 2.0 * amplitude, rtol=1e-3)
     np.testing.assert_allclose(cycles.frequency, frequency, rtol=5e-3)
-    own = cycles.of_test()
-    assert own["energy"] == pytest.approx(np.pi * damping * w * amplitude**2, rel=1e-2)
-    assert own["c_eq"] == pytest.approx(damping, rel=1e-2)
+    values = cycles.of_test()
+    assert values["energy"] == pytest.approx(np.pi * damping * w * amplitude**2, rel=1e-2)
+    assert values["c_eq"] == pytest.approx(damping, rel=1e-2)
     centre = -zero / amplitude  # of the window, over the amplitude, or at mid-stroke
     centre = 0.0 if abs(centre) > 2.0 * OFF_CENTRE else centre
     window = centre + 2.0 * WINDOW * np.linspace(-1.0, 1.0, 101)
     dashpot = damping * w * amplitude * np.sqrt(1.0 - window**2).mean()
     spring, size = stiffness * amplitude * centre, (stiffness + damping * w) * amplitude
     if abs(abs(zero / amplitude) - 2.0 * OFF_CENTRE) > 0.01:
-        assert own["slip_fwd"] == pytest.approx(dashpot + spring, abs=1e-2 * size)
-        assert own["slip_bwd"] == pytest.approx(dashpot - spring, abs=1e-2 * size)
+        assert values["slip_fwd"] == pytest.approx(dashpot + spring, abs=1e-2 * size)
+        assert values["slip_bwd"] == pytest.approx(dashpot - spring, abs=1e-2 * size)
     close = {"rel": 5e-3, "abs": 0.02 * damping * w}
-    assert own["effective_stiffness"] == pytest.approx(stiffness, **close)
+    assert values["effective_stiffness"] == pytest.approx(stiffness, **close)
 
 
 def test_the_damping_of_a_rectangular_loop_and_a_record_without_values():
     x = np.sin(np.pi * TIME)
     force = 2.0 * np.sign(np.cos(np.pi * (TIME + 1e-9)))
-    own = measured_cycles(Trace.from_arrays(TIME, x, force=force)).of_test()
-    expected = 4.0 / np.pi / own["effective_stiffness"]
-    assert own["effective_damping"] == pytest.approx(expected, rel=1e-2)
+    values = measured_cycles(Trace.from_arrays(TIME, x, force=force)).of_test()
+    expected = 4.0 / np.pi / values["effective_stiffness"]
+    assert values["effective_damping"] == pytest.approx(expected, rel=1e-2)
     assert measured_cycles(Trace.from_arrays(TIME, x)) is None
-    part = measured_cycles(Trace.from_arrays(TIME[:300], x[:300], force=x[:300]))
-    assert part.energy.size == 0
-    assert np.isnan(part.of_test()["energy"])
-    assert part.of_test()["peak_fwd"] == x[:300].max()
+    partial = measured_cycles(Trace.from_arrays(TIME[:300], x[:300], force=x[:300]))
+    assert partial.energy.size == 0
+    assert np.isnan(partial.of_test()["energy"])
+    assert partial.of_test()["peak_fwd"] == x[:300].max()
 
 
 def test_a_coulomb_loop_dissipates_four_times_force_times_amplitude():
@@ -153,12 +153,12 @@ def test_a_coulomb_loop_dissipates_four_times_force_times_amplitude():
         np.testing.assert_array_equal(values[name], np.tile(friction[:, None], 3))
     decaying = Trace.from_arrays(time, motion * np.exp(-0.1 * time))
     for moved in (trace, decaying):  # a dashpot is equivalent to itself
-        own = cycle_values(moved, 0.7 * moved.velocity[None])
-        np.testing.assert_allclose(own["c_eq"], 0.7, rtol=1e-3)
+        dashpot = cycle_values(moved, 0.7 * moved.velocity[None])
+        np.testing.assert_allclose(dashpot["c_eq"], 0.7, rtol=1e-3)
 
 
 @pytest.mark.parametrize(
-    ("chatter", "zero", "said"),
+    ("chatter", "zero", "pattern"),
     [
         (0.0, 0.0, "at zero displacement$"),
         (0.8, 0.0, "at zero displacement$"),
@@ -166,7 +166,7 @@ def test_a_coulomb_loop_dissipates_four_times_force_times_amplitude():
         (0.0, 5.0, "at mid-stroke, where zero displacement is not$"),
     ],
 )
-def test_a_slip_force_is_a_mean_about_zero_displacement(tmp_path, chatter, zero, said):
+def test_a_slip_force_is_a_mean_about_zero_displacement(tmp_path, chatter, zero, pattern):
     """Chatter to a fifth leaves the mean; a sensor's zero is not always the device's."""
     trace = drawn_loop(8)
     slipping = np.isin(np.abs(trace.force), (FORWARD, BACKWARD))
@@ -175,10 +175,10 @@ def test_a_slip_force_is_a_mean_about_zero_displacement(tmp_path, chatter, zero,
     columns = np.column_stack([trace.time, trace.displacement + zero, waves * trace.force])
     names = "time_s,displacement_in,force_kip"
     np.savetxt(path, columns, delimiter=",", header=names, comments="")
-    out = CliRunner().invoke(app, ["inspect", str(path), "-o", str(tmp_path), "--units", "us"])
-    shown = " ".join(out.stdout.split())
-    line = re.search(r"slip force (.*?) peak force", shown)[1]
-    assert re.search(said, line), line
+    outcome = CliRunner().invoke(app, ["inspect", str(path), "-o", str(tmp_path), "--units", "us"])
+    text = " ".join(outcome.stdout.split())
+    line = re.search(r"slip force (.*?) peak force", text)[1]
+    assert re.search(pattern, line), line
     slips = [float(n) for n in re.findall(r"([\d.]+) kip (?:forward|backward)", line)]
     assert slips == pytest.approx((FORWARD, BACKWARD), rel=0.1 if chatter else 1e-3)
     errors = re.search(r"standard errors ([\d.e-]+) kip and ([\d.e-]+) kip", line).groups()
@@ -207,12 +207,12 @@ def test_inspect_shows_the_measured_values_of_shared_records(data_folder, tmp_pa
         content = cycles.to_content()
         for name, value in MeasuredCycles.from_content(content).to_content().items():
             np.testing.assert_array_equal(content[name], value, err_msg=name)
-        asked = ["inspect", str(path), "-o", str(tmp_path), "--units", "us"]
-        shown, own = CliRunner().invoke(app, asked).stdout, cycles.of_test()
+        arguments = ["inspect", str(path), "-o", str(tmp_path), "--units", "us"]
+        output, values = CliRunner().invoke(app, arguments).stdout, cycles.of_test()
         for title, names in TITLES.items():
-            line = re.search(rf"^  {title} +(.*)$", shown, re.MULTILINE)
+            line = re.search(rf"^  {title} +(.*)$", output, re.MULTILINE)
             if line is None:
-                assert np.isnan(own[names[0]]), (path, title)
+                assert np.isnan(values[names[0]]), (path, title)
                 continue
             numbers = re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", line[1])[: len(names)]
-            assert [float(n) for n in numbers] == [float(f"{own[n]:.4g}") for n in names], path
+            assert [float(n) for n in numbers] == [float(f"{values[n]:.4g}") for n in names], path

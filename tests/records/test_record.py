@@ -40,9 +40,9 @@ def record(path):
     return mb.read_record(path, actuation="30 lb")
 
 
-def refused(named, call, *args, **options):
+def refused(named, function, *args, **options):
     with pytest.raises(MfdError, match=named) as caught:
-        call(*args, **options)
+        function(*args, **options)
     assert "\n" not in str(caught.value)
 
 
@@ -75,8 +75,8 @@ def test_arrays_that_make_no_trace_are_refused_and_not_cast():
         *(({"actuation": v}, "actuation") for v in (-1, np.inf, True, 800 * UNIT.psi)),
         *(({"hysteresis": v}, "hysteresis") for v in (True, "0.1", [0.1], np.nan, -1.0)),
     ):
-        whole = {"time": [0, 1, 2], "displacement": [0, 1, 0]} | arrays
-        refused(named, mb.Trace.from_arrays, **whole)
+        inputs = {"time": [0, 1, 2], "displacement": [0, 1, 0]} | arrays
+        refused(named, mb.Trace.from_arrays, **inputs)
 
 
 def test_a_trace_has_its_own_arrays_and_the_velocity_of_its_motion():
@@ -147,16 +147,16 @@ def test_a_window_is_two_times_in_every_form(record, path):
 
 
 def test_paths_columns_units_and_quantities_are_of_their_kind(path, tmp_path):
-    for given in (None, 5, b"a", ["a"], "a\0b"):
-        refused("path must be a path", mb.read_record, given)
+    for value in (None, 5, b"a", ["a"], "a\0b"):
+        refused("path must be a path", mb.read_record, value)
     os.mkfifo(tmp_path / "a.csv")
-    for other, named in ((f"{5000 * 'a'}.csv", "aaa"), (tmp_path, "folder"), ("a.csv", "pipe")):
-        refused(named, read_table, tmp_path / other)
-    for given in (["time_s"], 5, pd.Series({"time": "time_s"}), ""):
-        refused("columns", mb.read_record, path, columns=given)
-        refused("units", mb.read_record, path, units=given)
-        refused("number and a unit", parse_quantity, given, "force")
-        refused("number and a unit", parse_mass, given)
+    for name, named in ((f"{5000 * 'a'}.csv", "aaa"), (tmp_path, "folder"), ("a.csv", "pipe")):
+        refused(named, read_table, tmp_path / name)
+    for value in (["time_s"], 5, pd.Series({"time": "time_s"}), ""):
+        refused("columns", mb.read_record, path, columns=value)
+        refused("units", mb.read_record, path, units=value)
+        refused("number and a unit", parse_quantity, value, "force")
+        refused("number and a unit", parse_mass, value)
 
 
 # --- records of files
@@ -229,9 +229,9 @@ def test_of_a_time_with_gaps_the_longest_piece_inside_the_window_is_used(tmp_pat
     assert record.time[-1] == 6.0
     assert "2 gaps, the longest of 4.005 s" in record.gap
     assert "39% of the record" in record.gap
-    inside = mb.read_record(path, window="7 s to 10.5 s")
-    assert (inside.time[0], inside.time[-1]) == (7.505, 10.5)
-    np.testing.assert_array_equal(inside.displacement, MOTION[(TIME > 6) & (TIME <= 9)])
+    piece = mb.read_record(path, window="7 s to 10.5 s")
+    assert (piece.time[0], piece.time[-1]) == (7.505, 10.5)
+    np.testing.assert_array_equal(piece.displacement, MOTION[(TIME > 6) & (TIME <= 9)])
     paused = TIME + 0.02 * np.cumsum(np.arange(TIME.size) % 400 == 399)
     words = mb.read_record(write(tmp_path, time_s=paused, displacement_in=MOTION)).clock.words()
     assert "pauses 5 times, for up to 0.025 s" in words
@@ -269,19 +269,19 @@ def test_decimation_has_no_delay_and_no_edge_transient(tmp_path, rate, uneven):
     np.testing.assert_allclose(trace.displacement, np.sin(np.pi * trace.time), atol=2e-3)
     np.testing.assert_allclose(trace.force, 2 + np.cos(np.pi * trace.time), atol=6e-3)
     if rate == 20.0 and not uneven:
-        part = record.trace(rate=rate, window=(2.0, 6.0))
-        np.testing.assert_allclose(part.force, trace.force[40:121], atol=1e-12)
+        segment = record.trace(rate=rate, window=(2.0, 6.0))
+        np.testing.assert_allclose(segment.force, trace.force[40:121], atol=1e-12)
 
 
 def test_a_tone_above_the_new_nyquist_is_down_by_40_db_and_one_below_passes(tmp_path):
     time = np.arange(8192) / 1024
-    for hertz, least, most in ((38.4, 0.0, 0.01), (105.6, 0.0, 0.01), (20.0, 0.98, 1.02)):
+    for hertz, lower, upper in ((38.4, 0.0, 0.01), (105.6, 0.0, 0.01), (20.0, 0.98, 1.02)):
         tone = np.sin(2 * np.pi * hertz * time + 0.7)
         assert np.max(np.abs(tone[::16])) > 0.5  # without a filter it would be folded back
         motion = np.sin(np.pi * time)
         path = write(tmp_path, time_s=time, displacement_in=motion, force_kip=tone)
         low = mb.read_record(path).trace(rate=64).force[20:-20]
-        assert least <= np.max(np.abs(low)) <= most
+        assert lower <= np.max(np.abs(low)) <= upper
 
 
 def test_the_default_rate_resolves_the_gap_and_the_half_cycles_below_the_cap(tmp_path):
@@ -298,19 +298,19 @@ def test_the_default_rate_resolves_the_gap_and_the_half_cycles_below_the_cap(tmp
     assert rate_of(1e-6) == pytest.approx(1024 / 2)
 
 
-@pytest.mark.parametrize("left", [1, 3, 40])
-def test_what_a_window_leaves_out_is_given_by_its_ends_and_turns(tmp_path, left):
+@pytest.mark.parametrize("margin", [1, 3, 40])
+def test_what_a_window_leaves_out_is_given_by_its_ends_and_turns(tmp_path, margin):
     time = np.arange(400) / 100
     motion = np.sin(2 * np.pi * time)
     path = write(tmp_path, time_s=time, displacement_in=motion)
-    record = mb.read_record(path, window=(time[left], time[-1 - left]))
-    before, after = record.around(record.trace())
-    assert (before[0], before[-1]) == pytest.approx((motion[0], motion[left - 1]))
-    assert (after[0], after[-1]) == pytest.approx((motion[-left], motion[-1]))
-    assert max(before) == pytest.approx(motion[:left].max())
-    assert record.around(record.trace(), since=time[left - 1])[0] == ()
-    for trace, since in ((None, 0.0), (record.trace(), "a"), (record.trace(), np.nan)):
-        refused("trace|since", record.around, trace, since)
+    record = mb.read_record(path, window=(time[margin], time[-1 - margin]))
+    head, tail = record.around(record.trace())
+    assert (head[0], head[-1]) == pytest.approx((motion[0], motion[margin - 1]))
+    assert (tail[0], tail[-1]) == pytest.approx((motion[-margin], motion[-1]))
+    assert max(head) == pytest.approx(motion[:margin].max())
+    assert record.around(record.trace(), since=time[margin - 1])[0] == ()
+    for trace, begin in ((None, 0.0), (record.trace(), "a"), (record.trace(), np.nan)):
+        refused("trace|since", record.around, trace, begin)
 
 
 # --- signals that are made of more than a column
@@ -324,8 +324,8 @@ INERTIA = -3.0 * OMEGA**2 * TRAVEL / 1000.0  # N, of 3 kg
 INSIDE = slice(40, -40)
 
 
-def force_of(path, **parts):
-    columns = {"time": "time_s", "displacement": "stroke_mm", "force": Source("load_N", **parts)}
+def force_of(path, **options):
+    columns = {"time": "time_s", "displacement": "stroke_mm", "force": Source("load_N", **options)}
     return mb.read_record(path, columns).force * N
 
 
@@ -342,10 +342,10 @@ def test_inertia_is_taken_off_on_either_side_of_a_gap_in_time(tmp_path, mass):
     for late in (0.0, 1000.0):
         time = TIME + np.where(TIME > 4.0, late, 0.0)
         path = write(tmp_path, time_s=time, stroke_mm=TRAVEL, load_N=FRICTION + INERTIA)
-        own = FRICTION[TIME > 4.0] if late else FRICTION
+        expected = FRICTION[TIME > 4.0] if late else FRICTION
         force = force_of(path, minus_mass=mass)
-        np.testing.assert_allclose(force[INSIDE], own[INSIDE], atol=0.01)
-        assert np.max(np.abs(force_of(path) - own)) > 2.0
+        np.testing.assert_allclose(force[INSIDE], expected[INSIDE], atol=0.01)
+        assert np.max(np.abs(force_of(path) - expected)) > 2.0
 
 
 def test_inertia_is_that_of_the_motion_in_spite_of_noise_and_uneven_times(tmp_path):
@@ -391,7 +391,7 @@ def test_an_arm_makes_travel_of_an_angle_and_force_of_a_torque(tmp_path):
 
 def test_parts_that_cannot_be_are_refused(tmp_path):
     path = write(tmp_path, time_s=TIME, stroke_mm=TRAVEL, load_N=FRICTION, p_bar=PRESSURE)
-    for role, parts, named in (
+    for role, options, named in (
         ("force", {"minus_mass": "3 mm"}, "minus_mass"),
         ("force", {"minus_mass": "-3 kg"}, "'-3 kg'"),
         ("force", {"minus": Subtracted("p_bar")}, "pressure"),
@@ -404,13 +404,13 @@ def test_parts_that_cannot_be_are_refused(tmp_path):
         ("displacement", {"arm": "0 in", "measured_at": "4 in"}, "radius"),
     ):
         names = {"time": "time_s", "displacement": "stroke_mm", "force": "load_N"}
-        columns = {r: Source(n, **(parts if r == role else {})) for r, n in names.items()}
+        columns = {r: Source(n, **(options if r == role else {})) for r, n in names.items()}
         refused(named, mb.read_record, path, columns)
 
 
 def test_a_clock_that_starts_again_outside_the_window_is_left_out_and_said(tmp_path):
-    time, more = np.arange(400) / 40.0, np.arange(30) / 40.0
-    x = np.sin(np.pi * np.concatenate([time, more]))
+    time, restarted = np.arange(400) / 40.0, np.arange(30) / 40.0
+    x = np.sin(np.pi * np.concatenate([time, restarted]))
 
     def read(clock, fit):
         path = tmp_path / "a.csv"
@@ -419,13 +419,13 @@ def test_a_clock_that_starts_again_outside_the_window_is_left_out_and_said(tmp_p
         np.savetxt(path, table, delimiter=",", header=header, comments="")
         return mb.read_record(path, window=fit)
 
-    record = read(np.concatenate([time, more]), "0 s to 8 s")
+    record = read(np.concatenate([time, restarted]), "0 s to 8 s")
     assert record.time.size == 400
     assert "line 402" in record.doubts[0]
-    read(np.concatenate([time, more + 9.0]), "0 s to 8 s")
+    read(np.concatenate([time, restarted + 9.0]), "0 s to 8 s")
     for clock, fit in (
-        (np.concatenate([time, more]), None),
-        (np.concatenate([time[:200], time[190:390], more]), "0 s to 8 s"),  # inside the window
+        (np.concatenate([time, restarted]), None),
+        (np.concatenate([time[:200], time[190:390], restarted]), "0 s to 8 s"),  # inside the window
         (np.concatenate([time[:200], time[:230]]), "0 s to 4 s"),  # which of two?
     ):
         with pytest.raises(mb.MfdError, match="does not increase"):

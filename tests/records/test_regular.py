@@ -23,8 +23,8 @@ def make(kind, path, monkeypatch):
         os.mknod(path, 0o20666, os.makedev(1, 5))  # as /dev/zero, which never ends
     else:
         monkeypatch.chdir(path.parent)  # the path of a socket is short
-        with socket.socket(socket.AF_UNIX) as made:
-            made.bind(path.name)
+        with socket.socket(socket.AF_UNIX) as server:
+            server.bind(path.name)
 
 
 def too_late(*_):
@@ -32,7 +32,7 @@ def too_late(*_):
 
 
 def test_what_is_no_file_is_refused_at_once(tmp_path, monkeypatch, small_run):
-    before = signal.signal(signal.SIGALRM, too_late)
+    handler = signal.signal(signal.SIGALRM, too_late)
     for kind in ("pipe", "socket", *(["device"] if os.geteuid() == 0 else [])):
         for name, words in READERS.items():
             folder = tmp_path / kind / name.replace("/", "_")
@@ -44,4 +44,4 @@ def test_what_is_no_file_is_refused_at_once(tmp_path, monkeypatch, small_run):
             signal.alarm(0)
             assert "not a file" in sentence or "is missing" in sentence, (kind, name)
             assert name.rpartition("/")[2] in sentence, (kind, name)
-    signal.signal(signal.SIGALRM, before)
+    signal.signal(signal.SIGALRM, handler)

@@ -40,9 +40,9 @@ def text(rows, separator=","):
     return "".join(separator.join(f"{cell:.4f}" for cell in row) + "\n" for row in rows)
 
 
-def write(path, head, *columns, above=""):
+def write(path, head, *columns, preamble=""):
     rows = [",".join(str(cell) for cell in row) for row in zip(*columns, strict=True)]
-    path.write_text(above + head + "\n" + "\n".join(rows) + "\n")
+    path.write_text(preamble + head + "\n" + "\n".join(rows) + "\n")
 
 
 def run(*words, code=0):
@@ -96,8 +96,8 @@ def mts(*blocks, units=MTS_UNITS):
     )
 
 
-def between(words, at=80):
-    return HEAD + text(ROWS[:at]) + words + text(ROWS[at:])
+def between(words, row=80):
+    return HEAD + text(ROWS[:row]) + words + text(ROWS[row:])
 
 
 COMMENT = "# time_s,stroke_mm,load_N\n"
@@ -131,10 +131,10 @@ READ = {
 def test_every_number_is_read_and_what_is_not_is_named(tmp_path, name):
     content, unused = READ[name]
     (tmp_path / "run_5bar.csv").write_text(content)
-    seen = drafted(tmp_path)[2]
-    assert ALL in seen
-    assert unused in seen
-    assert bool(unused) == ("rows not used" in seen)
+    report = drafted(tmp_path)[2]
+    assert ALL in report
+    assert unused in report
+    assert bool(unused) == ("rows not used" in report)
 
 
 KILO = text(ROWS[80:] * [1.0, 1.0, 1e-3], "\t")
@@ -174,9 +174,9 @@ def test_blocks_and_a_footer_of_a_sheet(tmp_path):
     for row in (*blocks, ["Max", 12.0, 9.0]):
         book.active.append(row)
     book.save(tmp_path / "run_5bar.xlsx")
-    seen = drafted(tmp_path)[2]
-    assert ALL in seen
-    assert "row 245 and below" in seen
+    report = drafted(tmp_path)[2]
+    assert ALL in report
+    assert "row 245 and below" in report
 
 
 def test_cells_outside_the_window_need_not_be_numbers(tmp_path):
@@ -216,13 +216,13 @@ def test_channels_of_other_lengths_are_read_as_far_as_both_go_and_of_other_clock
     assert "rows not used" in drafted(tmp_path)[2]
     np.testing.assert_allclose(mb.read_record(path, roles).time, TIME[:230], atol=1e-9)
     clock = ("Time", TIME, {"unit_string": "s"})
-    for own, more in (
+    for properties, channels in (
         (wave("N", 1.0), ()),
         (wave("N", 0.5, offset=0.5), ()),
         (wave("N", 1.0), [clock]),
         (wave("N", step=0.01), ()),
     ):
-        path = tdms(tmp_path, *more, travel, ("Load", FORCE, own))
+        path = tdms(tmp_path, *channels, travel, ("Load", FORCE, properties))
         with pytest.raises(mb.MfdError, match=r"Load (begins 1 s after Disp|has a step of 0.01)"):
             mb.read_record(path, roles)
         init(tmp_path, code=2)
@@ -278,19 +278,19 @@ DRAFTS = (  # a role, a file, the unit or the rate that is drafted, and what is 
 )
 
 
-@pytest.mark.parametrize(("role", "content", "told", "words"), DRAFTS, ids=range(len(DRAFTS)))
+@pytest.mark.parametrize(("role", "content", "stated", "words"), DRAFTS, ids=range(len(DRAFTS)))
 def test_a_unit_or_a_rate_is_that_which_the_file_states_and_otherwise_left_open(
-    tmp_path, role, content, told, words
+    tmp_path, role, content, stated, words
 ):
     (tmp_path / "run_5bar.csv").write_text(content)
     printed, campaign = init(tmp_path)
     source = campaign["columns"].get(role, {})
-    assert source.get("unit", source.get("rate", "")) == told
+    assert source.get("unit", source.get("rate", "")) == stated
     assert words in printed
-    assert ("FIXME" in printed) == (not told)
-    seen = run("inspect", tmp_path / "campaign.toml", code=0 if told else 2)
-    assert not told or "in ms rather" not in seen
-    assert not told.endswith("Hz") or ALL in seen
+    assert ("FIXME" in printed) == (not stated)
+    report = run("inspect", tmp_path / "campaign.toml", code=0 if stated else 2)
+    assert not stated or "in ms rather" not in report
+    assert not stated.endswith("Hz") or ALL in report
 
 
 def test_a_sentence_of_as_many_words_as_columns_is_no_row_of_names(tmp_path):
@@ -319,9 +319,9 @@ def test_a_length_in_the_files_name_tells_the_unit_and_is_not_compared_without(t
 
 
 def test_inspect_asks_whether_a_time_in_seconds_is_in_ms(tmp_path):
-    for step, cycle, asked in ((50.0, 4000.0, True), (5.0, 600.0, False)):
+    for step, cycle, expected in ((50.0, 4000.0, True), (5.0, 600.0, False)):
         (tmp_path / "a.csv").write_text("Time,Stroke,Load\n" + slow(step, cycle))
-        assert ("in ms rather than in s?" in inspected(tmp_path, unit="kN")) is asked
+        assert ("in ms rather than in s?" in inspected(tmp_path, unit="kN")) is expected
 
 
 def test_a_clock_a_thousand_times_slower_than_the_others_is_named(tmp_path):
@@ -352,11 +352,11 @@ def test_only_the_tests_that_run_backward_are_turned_and_it_is_said(tmp_path):
     overflow = np.where(TIME[41] == TIME, -1e6, FORCE)  # turns no sign
     for name, load in (("a_5bar", FORCE), ("b_5bar", overflow), ("c_9bar", -FORCE)):
         write(tmp_path / f"{name}.csv", HEAD.strip(), TIME, TRAVEL, load)
-    printed, campaign, seen = drafted(tmp_path)
+    printed, campaign, report = drafted(tmp_path)
     assert "c_9bar: its loops run backward" in printed
     signs = [t.get("columns", {}).get("force", {}).get("sign") for t in campaign["test"]]
     assert signs == [None, None, -1]
-    assert "force sign" not in seen
+    assert "force sign" not in report
 
 
 # --- actuation in any unit
@@ -365,20 +365,20 @@ def test_only_the_tests_that_run_backward_are_turned_and_it_is_said(tmp_path):
 def test_an_actuation_is_given_in_its_own_unit(tmp_path):
     (tmp_path / "a.csv").write_text(HEAD + text(ROWS))
     for level in ("500 mA", "24 V", "3 turns", "40 %", "80 ft*lbf"):
-        other = f'[[test]]\nid = "b"\nfile = "a.csv"\nactuation = "{level}"'
-        assert "kind" in inspected(tmp_path, test=other, code=2)
+        entry = f'[[test]]\nid = "b"\nfile = "a.csv"\nactuation = "{level}"'
+        assert "kind" in inspected(tmp_path, test=entry, code=2)
         (tmp_path / "c.toml").write_text((tmp_path / "c.toml").read_text().replace("5 bar", level))
         assert f" actuation {level} " in run("inspect", tmp_path / "c.toml")
 
 
 def test_init_drafts_the_current_of_a_test(tmp_path):
-    for name, above, level, doubt in (
+    for name, preamble, level, doubt in (
         ("run_250mA", "", "250 mA", ""),
         ("run_2A", "", "2 A", "2A is taken for A"),
         ("run", "Coil current: 0.75 A\n", "0.75 A", ""),
         ("run_500psi_2A", "", "500 psi", ""),
     ):
-        write(tmp_path / f"{name}.csv", HEAD.strip(), *ROWS.T, above=above)
+        write(tmp_path / f"{name}.csv", HEAD.strip(), *ROWS.T, preamble=preamble)
         printed, campaign = init(tmp_path)
         assert campaign["test"][0]["actuation"] == level
         assert (doubt in printed) if doubt else ("unsure" not in printed)
@@ -433,9 +433,9 @@ def test_a_date_a_clock_and_a_counter_beside_each_other(tmp_path):
     clock, day = stamps("%H:%M:%S.%L", NIGHT), stamps("%d.%m.%Y", NIGHT)
     head = "No.,Date,Time,Displacement (mm),Force (N),Events"
     write(tmp_path / "a_5bar.csv", head, range(240), day, clock, TRAVEL, FORCE, [""] * 240)
-    _, campaign, seen = drafted(tmp_path)
+    _, campaign, report = drafted(tmp_path)
     assert campaign["columns"]["time"]["name"] == "Time"
-    assert ALL in seen
+    assert ALL in report
 
 
 def test_an_order_of_dates_that_nothing_tells_is_asked_for(tmp_path):
@@ -474,8 +474,8 @@ def test_moments_of_other_formats_are_a_time(tmp_path):
         for row in zip(cells, TRAVEL.tolist(), FORCE.tolist(), strict=True):
             book.active.append(row)
         book.save(tmp_path / f"{name}_5bar.xlsx")
-    since = np.datetime64(BEGIN, "us") + (1e6 * TIME).astype("m8[us]")
-    tdms(tmp_path, ("Clock", since), ("Disp (mm)", TRAVEL), ("Load (N)", FORCE))
+    clock = np.datetime64(BEGIN, "us") + (1e6 * TIME).astype("m8[us]")
+    tdms(tmp_path, ("Clock", clock), ("Disp (mm)", TRAVEL), ("Load (N)", FORCE))
     columns = {"Disp (mm)": TRAVEL.tolist(), "Load (N)": FORCE.tolist()}
     columns |= {"Clock": stamps("%Y-%m-%dT%H:%M:%S.%LZ")}
     (tmp_path / "j_5bar.json").write_text(json.dumps(columns))
@@ -489,13 +489,13 @@ def test_moments_of_other_formats_are_a_time(tmp_path):
 
 
 def test_a_time_that_counts_from_a_date_is_since_the_first_row(tmp_path):
-    for unit, first, by in (
+    for unit, offset, factor in (
         ("day", 45356.4166666667, 1 / 86400),  # Excel
         ("day", 739316.416666667, 1 / 86400),  # MATLAB
         ("s", 3792477600.0, 1.0),  # LabVIEW
         ("us", 1709632800000000.0, 1e6),
     ):
-        cells = [f"{first + t * by:.10f}" for t in TIME]
+        cells = [f"{offset + t * factor:.10f}" for t in TIME]
         write(tmp_path / "a_5bar.csv", "X_Value,Displacement (mm),Force (N)", cells, TRAVEL, FORCE)
         printed, campaign = init(tmp_path)
         assert campaign["columns"]["time"]["unit"] == unit
@@ -503,8 +503,8 @@ def test_a_time_that_counts_from_a_date_is_since_the_first_row(tmp_path):
         roles = {"time": Source("X_Value", unit), "displacement": 2, "force": 3}
         record = mb.read_record(tmp_path / "a_5bar.csv", roles)
         np.testing.assert_allclose(record.time, TIME, atol=2e-5)
-    for first, by in ((36000.0, 1.0), (0.4166666667, 1 / 86400)):  # of a day
-        cells = [f"{first + t * by:.10f}" for t in TIME]
+    for offset, factor in ((36000.0, 1.0), (0.4166666667, 1 / 86400)):  # of a day
+        cells = [f"{offset + t * factor:.10f}" for t in TIME]
         write(tmp_path / "a_5bar.csv", "Clock,Displacement (mm),Force (N)", cells, TRAVEL, FORCE)
         assert "unit" not in init(tmp_path)[1]["columns"]["time"]
 
@@ -518,6 +518,6 @@ def test_wide_brackets_and_unit_signs_are_read(tmp_path):
         ("utf-8", "t(s)[0],x(mm)[0],F(N)[1]"),
     ):
         path.write_bytes(f"{head}\n{text(ROWS)}".encode(encoding))
-        printed, _, seen = drafted(tmp_path)
+        printed, _, report = drafted(tmp_path)
         assert "FIXME" not in printed
-        assert "displacement -12 to 12 mm" in seen
+        assert "displacement -12 to 12 mm" in report

@@ -43,12 +43,12 @@ SCORES |= {"interval_score": 0.25, "crps": 0.03, "rrse": 0.09}
 NAN = float("nan")
 
 
-def make_row(test: str, name: str, unit: str, lower=0.8, median=1.0, upper=1.2, **more) -> dict:
+def make_row(test: str, name: str, unit: str, lower=0.8, median=1.0, upper=1.2, **fields) -> dict:
     row = {"test": test, "name": name, "unit": unit, "mean": median, "sd": 0.1}
     row |= {"lower": lower, "median": median, "upper": upper, "note": ""}
     row |= {"r_hat": 1.002, "ess_bulk": 900.0, "ess_tail": 700.0, "contraction": 0.98}
     row |= dict.fromkeys(("joint_lower", "joint_median", "joint_upper"), NAN)
-    return row | {"joint_conflict": False} | more
+    return row | {"joint_conflict": False} | fields
 
 
 def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> TestView:
@@ -95,14 +95,19 @@ def make_test(identity: str, role: str = "calibrate", samples: int = 250) -> Tes
 
 
 def make_derived(identity: str, role: str) -> tuple[dict, ...]:
-    more = {"role": role, "missed": False}
-    energy = {"measured": 3.3, "note": "over 2 full cycles"} | more
-    none = {"measured": NAN, "note": "the motion has no full cycle", "mean": NAN, "sd": NAN} | more
-    peak = make_row(identity, "peak_fwd", "kip", 1.0, 1.123, 1.2, measured=1.4, **more)
-    gap = make_row(identity, "gap", "in", 0.18, 0.2, 0.22, measured=NAN, **more)
+    fields = {"role": role, "missed": False}
+    energy = {"measured": 3.3, "note": "over 2 full cycles"} | fields
+    blank = {
+        "measured": NAN,
+        "note": "the motion has no full cycle",
+        "mean": NAN,
+        "sd": NAN,
+    } | fields
+    peak = make_row(identity, "peak_fwd", "kip", 1.0, 1.123, 1.2, measured=1.4, **fields)
+    gap = make_row(identity, "gap", "in", 0.18, 0.2, 0.22, measured=NAN, **fields)
     of_cycle = identity, "energy_per_cycle", "kip*in"
     if role == "validate":
-        return (make_row(*of_cycle, NAN, NAN, NAN, **none), peak)
+        return (make_row(*of_cycle, NAN, NAN, NAN, **blank), peak)
     return (make_row(*of_cycle, 3.0, 3.21, 3.4, **energy), peak, gap)
 
 
@@ -114,9 +119,9 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
     fans = (make_fan("mean", draws), make_fan("new_test", 1.1 * draws))
     best = {"quantity": "Fc_fwd", "law": "power", "chosen": False, "elpd": 3.2, "elpd_se": 0.9}
     best |= {"difference": 0.0, "difference_se": 0.0, "weight": 0.7, "pareto_k": 0.25}
-    left = {"part": "800 psi", "test": "p800_f0.25", "whole_95": NAN} | SCORES
-    left |= {"fitted_width": 0.2, "fitted_crps": 0.03, "width_ratio": 2.0, "crps_ratio": 2.0}
-    mean = left | {"part": "", "test": "mean"}
+    prediction = {"part": "800 psi", "test": "p800_f0.25", "whole_95": NAN} | SCORES
+    prediction |= {"fitted_width": 0.2, "fitted_crps": 0.03, "width_ratio": 2.0, "crps_ratio": 2.0}
+    mean = prediction | {"part": "", "test": "mean"}
     return CampaignView(
         title="Drum brake",
         verdict=Fitness.USABLE,
@@ -136,7 +141,7 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
         remarks=(Message("The data are synthetic."),),
         law_scores=(best, best | {"law": "proportional", "chosen": True, "difference": -0.3}),
         law_choices={"Fc_fwd": "the power law predicts best, but only just."},
-        left_out=LeftOutView("level", (left,), mean, "Of 1 tests the bands hold 95 %."),
+        left_out=LeftOutView("level", (prediction,), mean, "Of 1 tests the bands hold 95 %."),
         judgements=tuple(
             Judgement(test.id, Fitness.USABLE, (), 0.5) for test in tests if test.rows
         ),
@@ -157,8 +162,8 @@ def campaign() -> CampaignView:
 def datasheet() -> Datasheet:
     """Two conditions, the second of which was not tested; a measured slip force is too large."""
     rows = []
-    for at, level, tested in ((0, 0.8, True), (1, 1.0, False)):
-        head = {"condition": f"c{at}", "actuation": level, "actuation_unit": "ksi"}
+    for index, level, tested in ((0, 0.8, True), (1, 1.0, False)):
+        head = {"condition": f"c{index}", "actuation": level, "actuation_unit": "ksi"}
         head |= {"stroke": 1.0, "frequency": 0.5, "tested": tested}
         head |= {"n_cycles": 3 * tested, "n_tests": int(tested), "n_outside": 0, "nominal": 1.0}
         head |= {"lower": 0.8, "upper": 1.25, "lambda_min": 0.8, "lambda_max": 1.25}
@@ -169,11 +174,11 @@ def datasheet() -> Datasheet:
         damping = slip | {"quantity": "effective_damping", "direction": "", "unit": "1"}
         energy = damping | {"quantity": "energy", "unit": "kip*in", "cycle": 1}
         rows += [head | slip | {"n_outside": int(tested)}, head | damping, head | energy]
-    within = {"range": Measure.of(0.8, unit="in")}
-    verdict = Message("usable"), Message("1 of 3 lies outside"), Message("within {range}", within)
+    values = {"range": Measure.of(0.8, unit="in")}
+    verdict = Message("usable"), Message("1 of 3 lies outside"), Message("within {range}", values)
     return Datasheet(
         rows=pd.DataFrame(rows),
-        tested={"stroke": Message("{range}", within)},
+        tested={"stroke": Message("{range}", values)},
         verdict=verdict,
         not_known=(Message("Temperature: no record has one."),),
         formulas={"slip_force": "force at zero displacement"},

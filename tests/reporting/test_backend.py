@@ -34,6 +34,6 @@ print(os.environ["MPLBACKEND"])
 def test_figures_are_drawn_in_silence_and_the_backend_is_left_to_others(tmp_path, backend, home):
     changes = dict.fromkeys(HOMES, home) | {"MPLBACKEND": backend}
     command, env = [sys.executable, "-c", DRAW], {**os.environ, **changes}
-    done = subprocess.run(command, env=env, cwd=tmp_path, capture_output=True, text=True)
-    assert (done.returncode, done.stderr, done.stdout) == (0, "", f"{backend}\n")
+    process = subprocess.run(command, env=env, cwd=tmp_path, capture_output=True, text=True)
+    assert (process.returncode, process.stderr, process.stdout) == (0, "", f"{backend}\n")
     assert not any(tmp_path.iterdir())

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from mfd_bayes.reporting.options import ReportOptions
 from mfd_bayes.reporting.page import find_browser, print_page, publish
 from mfd_bayes.reporting.symbols import number
 
@@ -71,8 +72,8 @@ class Watched:
         """Faults of accessibility, with everything open."""
         for details in self.page.query_selector_all("details"):
             details.evaluate("element => element.open = true")
-        found = axe.Axe().run(self.page).response["violations"]
-        return [(v["id"], v["nodes"][0]["html"]) for v in found]
+        faults = axe.Axe().run(self.page).response["violations"]
+        return [(v["id"], v["nodes"][0]["html"]) for v in faults]
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -80,31 +81,31 @@ class Watched:
 def test_pages_ask_for_nothing_fail_nowhere_and_are_accessible(
     chromium, report, name, width, scheme
 ):
-    with Watched(chromium, report.parent / name, width, scheme) as found:
-        assert found.errors == []
+    with Watched(chromium, report.parent / name, width, scheme) as watched:
+        assert watched.errors == []
         folder = (report.parent / name).parent.as_uri()
-        asked = [url for url in found.asked if not url.startswith(("data:", "blob:"))]
-        assert [url for url in asked if not url.startswith(folder)] == []
-        assert name == TEST or len(asked) == 1
+        urls = [url for url in watched.asked if not url.startswith(("data:", "blob:"))]
+        assert [url for url in urls if not url.startswith(folder)] == []
+        assert name == TEST or len(urls) == 1
         overflow = "document.documentElement.scrollWidth - innerWidth"
-        assert found.page.evaluate(overflow) <= 0
-        assert found.violations == []
+        assert watched.page.evaluate(overflow) <= 0
+        assert watched.violations == []
 
 
 def test_axe_can_find_something(chromium, report, tmp_path):
     text = report.read_text(encoding="utf-8").replace(' alt="', ' data-alt="')
     (tmp_path / "report.html").write_text(text, encoding="utf-8")
-    with Watched(chromium, tmp_path / "report.html") as found:
-        assert "image-alt" in {name for name, _ in found.violations}
+    with Watched(chromium, tmp_path / "report.html") as watched:
+        assert "image-alt" in {name for name, _ in watched.violations}
 
 
 def test_units_change_at_a_click_in_tables_sentences_and_plots(chromium, report):
-    with Watched(chromium, report) as found:
-        page = found.page
+    with Watched(chromium, report) as watched:
+        page = watched.page
         head, cell = page.locator(".properties thead"), page.locator(".properties td").nth(4)
         assert "800 psi" in head.inner_text()
         assert cell.inner_text() == "1.00"
-        before = page.locator("body").inner_text()
+        original = page.locator("body").inner_text()
         page.check("#units-si")
         assert "5.52 MPa" in head.inner_text()
         assert cell.inner_text() == "4.45"
@@ -113,8 +114,8 @@ def test_units_change_at_a_click_in_tables_sentences_and_plots(chromium, report)
         highest = page.evaluate(f"{MODEL}('plot-x').x_range.end")
         assert highest == pytest.approx(25.4 * 1.08, rel=0.02)
         page.check("#units-us")  # the script writes numbers as Python does
-        assert page.locator("body").inner_text() == before
-        assert found.errors == []
+        assert page.locator("body").inner_text() == original
+        assert watched.errors == []
         for value in (0.9999, 1234.4, 123456.0, 1.25e-7, 0.00012345, -2.5, 0.0, 9.999e5, 99.95):
             for digits in (3, 4):
                 assert page.evaluate(f"written({value!r}, {digits})") == number(value, digits)
@@ -125,12 +126,12 @@ def test_names_from_files_run_nothing(chromium, campaign, datasheet, tmp_path, n
     test = replace(campaign.tests[0], rows=rows)
     view = replace(campaign, title=HOSTILE, tests=(test, campaign.tests[1]))
     view = replace(view, provenance={HOSTILE: HOSTILE}, remarks=(HOSTILE,))
-    publish(view, tmp_path, 1, print, sheet=datasheet)
+    publish(view, ReportOptions(tmp_path), 1, print, sheet=datasheet)
     for name in PAGES:
-        with Watched(chromium, tmp_path / name) as found:
-            assert found.page.evaluate("window.hit") is None
-            assert found.errors == []
-            assert HOSTILE in found.page.title()
+        with Watched(chromium, tmp_path / name) as watched:
+            assert watched.page.evaluate("window.hit") is None
+            assert watched.errors == []
+            assert HOSTILE in watched.page.title()
 
 
 def test_the_data_sheet_prints_on_one_page(report):

@@ -26,10 +26,10 @@ NAMES = Symbols()
 
 def test_pngs_are_the_same_each_time_whatever_the_users_settings(campaign, published):
     with mpl.rc_context({"lines.linewidth": 9.0, "axes.facecolor": "red"}):
-        before = dict(mpl.rcParams)
+        settings = dict(mpl.rcParams)
         for name, figure in draw_shared(campaign):
             assert to_png(figure) == (published / "figures" / f"{name}.png").read_bytes()
-        assert dict(mpl.rcParams) == before
+        assert dict(mpl.rcParams) == settings
 
 
 # --- posteriors
@@ -51,11 +51,11 @@ def test_ranks_show_a_chain_that_differs(campaign):
 
 def test_what_cannot_be_drawn_is_left_out(campaign):
     test = campaign.tests[0]
-    still = [replace(test.marginals[0], posterior=np.ones(60)), *test.marginals[1:]]
+    marginals = [replace(test.marginals[0], posterior=np.ones(60)), *test.marginals[1:]]
     names = ("Fc_fwd", "k3", "gamma1", "unknown")
-    assert draw_corner("a", still, test.corner, NAMES) is None
+    assert draw_corner("a", marginals, test.corner, NAMES) is None
     assert len(draw_corner("a", test.marginals, names, NAMES).axes) == 9  # of three
-    assert len(draw_corner("a", still, names, NAMES).axes) == 4
+    assert len(draw_corner("a", marginals, names, NAMES).axes) == 4
     truths = draw_truth("truth", campaign.truth, NAMES)  # one is not positive
     assert len(truths.axes[0].get_yticks()) == 2
     assert draw_truth("truth", campaign.truth[2:], NAMES) is None
@@ -66,10 +66,10 @@ def test_what_cannot_be_drawn_is_left_out(campaign):
 
 def test_bands_follow_each_stretch_of_motion_and_do_not_close_the_loop(campaign):
     test = campaign.tests[0]
-    parts = stretches(test.trace.turning_points, test.trace.samples)
-    assert len(parts) == test.trace.turning_points.size + 1
-    for part in parts:
-        steps = np.diff(test.trace.displacement[part])
+    pieces = stretches(test.trace.turning_points, test.trace.samples)
+    assert len(pieces) == test.trace.turning_points.size + 1
+    for piece in pieces:
+        steps = np.diff(test.trace.displacement[piece])
         assert np.all(steps >= 0) or np.all(steps <= 0)
     figure = draw_loops("a", test.trace, [test.observation])
     bands = figure.axes[0].collections[0].get_paths()

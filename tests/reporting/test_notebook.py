@@ -31,13 +31,13 @@ def band(run):
 
 def test_what_a_notebook_shows_is_html_with_the_names_and_units(run, band):
     test = run.tests["a"]
-    for shown, words in (
+    for item, words in (
         (run, "<td>a</td>"),
         (test, "Fc_fwd"),
         (band, "kip"),
         (test.posterior, "three_stage"),
     ):
-        assert words in shown._repr_html_()
+        assert words in item._repr_html_()
     assert "<b>" not in card("<b>", [("<b>", "<b>")], "<b>")
     assert "<b>" not in grid("<b>", ["<b>"], [["<b>"]], "<b>")
 
@@ -48,10 +48,10 @@ def test_bands_and_loops_are_drawn(run, band):
     assert axes.get_xlabel() == "time, s"
     np.testing.assert_allclose(axes.get_lines()[0].get_ydata(), band.median * factor)
     assert band.plot(axes) is axes
-    along = band.plot(displacement=trace.displacement)
-    assert along.get_xlabel() == f"displacement, {run.system.length}"
-    drawn = run.tests["a"].plot_loops().get_lines()[0].get_ydata()
-    np.testing.assert_allclose(drawn, trace.force * factor)
+    loop_axes = band.plot(displacement=trace.displacement)
+    assert loop_axes.get_xlabel() == f"displacement, {run.system.length}"
+    forces = run.tests["a"].plot_loops().get_lines()[0].get_ydata()
+    np.testing.assert_allclose(forces, trace.force * factor)
 
 
 def test_what_cannot_be_drawn_is_named(run, band):
@@ -70,31 +70,31 @@ def test_arviz_takes_a_test_and_a_band_without_a_change(run, band):
             warnings.simplefilter("ignore")  # their weights are not to be trusted
             assert az.loo(data).n_data_points >= 3
     summary = az.summary(data, var_names=["Fc_fwd"])
-    drawn = run.tests["a"].draws["Fc_fwd"].to_numpy()
-    assert float(summary["mean"].iloc[0]) == pytest.approx(drawn.mean(), abs=2e-3)
+    draws = run.tests["a"].draws["Fc_fwd"].to_numpy()
+    assert float(summary["mean"].iloc[0]) == pytest.approx(draws.mean(), abs=2e-3)
     force = band.to_inference_data()["predictions"]["force"]
     np.testing.assert_array_equal(np.asarray(force)[0], band.draws)
     assert force.attrs["units"] == "kip"
 
 
 def test_draws_are_written_with_their_units_or_refused_in_one_sentence(made_run, tmp_path):
-    out = tmp_path / "out"
-    shutil.copytree(made_run, out)
-    assert "draws.csv written" in said("draws", out, "--to", "csv", "--units", "si")
-    table, run = pd.read_csv(out / "draws.csv"), mb.open_run(out)
+    folder = tmp_path / "out"
+    shutil.copytree(made_run, folder)
+    assert "draws.csv written" in said("draws", folder, "--to", "csv", "--units", "si")
+    table, run = pd.read_csv(folder / "draws.csv"), mb.open_run(folder)
     assert set(table["test"]) == set(run.tests)
     expected = run.tests["a"].draws["Fc_fwd"].to_numpy().reshape(-1) * 4.4482216152605
-    own = table[table["test"] == "a"]["Fc_fwd [kN]"]
-    np.testing.assert_allclose(own, expected, rtol=1e-6)
+    values = table[table["test"] == "a"]["Fc_fwd [kN]"]
+    np.testing.assert_allclose(values, expected, rtol=1e-6)
     assert np.all(np.isfinite(table["log_likelihood"]))
     if find_spec("pyarrow"):
-        said("draws", out, "--to", "parquet")
-        columns = pd.read_parquet(out / "draws.parquet")
+        said("draws", folder, "--to", "parquet")
+        columns = pd.read_parquet(folder / "draws.parquet")
         np.testing.assert_allclose(columns["log_likelihood"], table["log_likelihood"], rtol=1e-6)
     else:
-        assert 'pip install "mfd_bayes[parquet]"' in refusal("draws", out, "--to", "parquet")
-        assert not (out / "draws.parquet").exists()
-    few = said("draws", out, "--to", "csv", "--units", "us", "--most", "5")
-    with (out / "draws.csv").open() as file:
+        assert 'pip install "mfd_bayes[parquet]"' in refusal("draws", folder, "--to", "parquet")
+        assert not (folder / "draws.parquet").exists()
+    output = said("draws", folder, "--to", "csv", "--units", "us", "--most", "5")
+    with (folder / "draws.csv").open() as file:
         assert "Fc_fwd [kip]" in next(csv.reader(file))
-    assert f"{5 * len(run.tests)} draws" in few
+    assert f"{5 * len(run.tests)} draws" in output

@@ -94,8 +94,8 @@ def test_pages_are_whole_safe_and_accessible(pages, name):
     hashes = {base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts}
     assert hashes == set(re.findall(r"'sha256-([^']+)'", policy))
     assert "default-src 'none'" in policy
-    for call in ('src="http', "src='http", "@import", "stylesheet", "url(http"):
-        assert call not in re.sub("<script.*?</script>", "", text, flags=re.DOTALL)
+    for pattern in ('src="http', "src='http", "@import", "stylesheet", "url(http"):
+        assert pattern not in re.sub("<script.*?</script>", "", text, flags=re.DOTALL)
 
 
 def test_the_summary_has_its_pictures_and_its_sections_in_order(text, published):
@@ -108,10 +108,10 @@ def test_the_summary_has_its_pictures_and_its_sections_in_order(text, published)
 
 
 def test_a_number_stands_once_with_its_unit(text, campaign, written, datasheet):
-    used = json.loads(re.search(r'id="units">(.*?)</script>', text)[1])
-    assert set(re.findall(r'data-unit="([^"]+)"', text)) <= set(used)
-    assert used["kip"] == {"us": [1.0, "kip"], "si": [SI.factor("kip"), "kN"]}
-    assert used["actuation in ksi"]["us"] == [1000.0, "psi"]
+    units = json.loads(re.search(r'id="units">(.*?)</script>', text)[1])
+    assert set(re.findall(r'data-unit="([^"]+)"', text)) <= set(units)
+    assert units["kip"] == {"us": [1.0, "kip"], "si": [SI.factor("kip"), "kN"]}
+    assert units["actuation in ksi"]["us"] == [1000.0, "psi"]
     assert '<span data-value="0.8" data-unit="kip" data-digits="3">0.800</span>' in text
     metric = written(replace(campaign, metric=True), datasheet)["report.html"]
     assert '<span data-value="0.8" data-unit="kip" data-digits="3">3.56</span>' in metric
@@ -121,11 +121,11 @@ def test_a_number_stands_once_with_its_unit(text, campaign, written, datasheet):
 def test_the_data_sheet_marks_what_lies_outside(pages):
     for name in ("report.html", "datasheet.html"):
         assert pages[name].count('<td class="outside">') == 1
-        shown = seen(pages[name])
-        assert "1.35 ✗" in shown
-        assert "800 psi ± 1 in 0.5 Hz" in shown
-        assert "no test was made there" in shown
-        assert "Temperature: no record has one." in shown
+        content = seen(pages[name])
+        assert "1.35 ✗" in content
+        assert "800 psi ± 1 in 0.5 Hz" in content
+        assert "no test was made there" in content
+        assert "Temperature: no record has one." in content
     assert "force at zero displacement" in seen(pages["datasheet.html"])
 
 
@@ -136,8 +136,8 @@ def test_only_what_misses_is_listed(campaign, text, written):
     judged = (Judgement("c", Fitness.NOT_USABLE, (Message("sign <swapped>"),), 9.0),)
     bad = replace(campaign, warnings=warned, judgements=judged, failures={"d": "no draws"})
     bad = replace(bad, verdict=Fitness.NOT_USABLE, sentences=(Message("R̂ is 1.2."),))
-    shown = written(bad)["report.html"]
-    head = seen(shown[: shown.index('<nav aria-label="Contents">')])
+    page = written(bad)["report.html"]
+    head = seen(page[: page.index('<nav aria-label="Contents">')])
     for words in (
         *("a: 0.8 in too far", "b: late", "c: sign <swapped>", "d: no result. no draws"),
         *("✗ not usable", "R̂ is 1.2."),
@@ -150,23 +150,23 @@ def test_the_page_of_a_test_holds_all_that_the_summary_leaves_out(campaign, writ
     bad = Check(test.id, PREDICTIVE, "energy", 3.3, 4.1, CheckStatus.FAIL, "kip*in")
     k3 = {"test": test.id, "name": "k3", "unit": "kip/in"}
     k3 |= {"lower": 0.8, "median": 1.0, "upper": 1.2}
-    other = k3 | {"noise": "ou", "other": "staged", "noise_sensitive": True}
-    other |= {"other_lower": 39.0, "other_median": 42.2, "other_upper": 45.6}
+    noise_row = k3 | {"noise": "ou", "other": "staged", "noise_sensitive": True}
+    noise_row |= {"other_lower": 39.0, "other_median": 42.2, "other_upper": 45.6}
     test = replace(
         test,
-        noises=(other,),
+        noises=(noise_row,),
         checks=(*test.checks, bad),
         loop_estimates=(k3 | {"value": 14.25, "tolerance": 0.3, "missed": True},),
         modes=({"k3": 20.5, "share": 0.6}, {"k3": 41.5, "share": 0.4}),
     )
     files = written(replace(campaign, tests=(test, campaign.tests[1])))
-    shown = seen(files[OWN])
+    page = seen(files[OWN])
     for words in (
         *("2 of 3 checks pass", "3.30 4.10 ✗ fail", "with staged 42.2 [39.0, 45.6]", "14.2 yes"),
         *("2 sets of parameters", "60.0 %", "20.5 41.5", "1 of 2 directions", "r = −0.84"),
         *("mfd-bayes report OUT --tests", "over 2 full cycles"),
     ):
-        assert words in shown, words
+        assert words in page, words
     assert "Held out: predicted from the other tests" in seen(files["tests/held/page.html"])
 
 
@@ -174,23 +174,23 @@ def test_laws_are_compared_in_words(campaign, text, written):
     assert "F<sub>c,fwd</sub>: the power law predicts best, but only just." in text
     assert "Every level held out in turn" in text
     exponent = Check("laws", FREE_EXPONENT, "Fc_fwd", 1.1, 1.0, CheckStatus.NOTE, note="0.9 to 1.4")
-    shown = written(replace(campaign, checks=(exponent,)))["report.html"]
-    assert "? cannot tell</span> F<sub>c,fwd</sub>: exponent 1.100 (0.9 to 1.4)" in shown
+    page = written(replace(campaign, checks=(exponent,)))["report.html"]
+    assert "? cannot tell</span> F<sub>c,fwd</sub>: exponent 1.100 (0.9 to 1.4)" in page
 
 
 @pytest.fixture
 def hostile(campaign):
     """A report whose every free text is the name that a campaign file gave."""
-    name, (one, held) = NAME, campaign.tests
+    name, (test, validation) = NAME, campaign.tests
     checks = (Check(name, name, name, 0.0, 1.0, CheckStatus.NOTE, note=name),)
-    one = replace(one, rows=tuple(row | {"note": name} for row in one.rows), checks=checks)
+    test = replace(test, rows=tuple(row | {"note": name} for row in test.rows), checks=checks)
     message = Message("{text}", {"text": name})
     return replace(
         campaign,
         title=name,
         sentences=(message,),
         verdict=Fitness.WITH_CARE,
-        tests=(one, replace(held, id=f"h{name.split('/')[0]}")),
+        tests=(test, replace(validation, id=f"h{name.split('/')[0]}")),
         failures={"a": name},
         warnings=(Finding(name, name, message),),
         law_rows=tuple(row | {"note": name, "name": name} for row in campaign.law_rows),
@@ -225,9 +225,9 @@ def test_figures_the_terminal_and_a_first_campaign_show_hostile_names_as_text(ho
     figure.canvas.draw()
     assert not UNSEEN.search(figure.get_suptitle())
     say(hostile.title)
-    shown = capsys.readouterr().out
-    assert shown.count("\n") == 1
-    assert not UNSEEN.search(shown)
+    output = capsys.readouterr().out
+    assert output.count("\n") == 1
+    assert not UNSEEN.search(output)
     drafted = f"[campaign]\ntitle = {quoted(NAME)}  {commented(NAME)}\n"
     assert tomllib.loads(drafted) == {"campaign": {"title": NAME}}
     assert not UNSEEN.search(commented(NAME))

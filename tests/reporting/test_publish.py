@@ -19,8 +19,8 @@ def files(folder):
 
 def test_a_report_holds_every_figure_and_every_table(campaign, published, written, tmp_path):
     pytest.importorskip("docx")
-    own = ("loops", "history", "residuals", "marginals", "corner", "ranks")
-    expected = {f"tests/p800_f0.25/{name}.png" for name in own}
+    figures = ("loops", "history", "residuals", "marginals", "corner", "ranks")
+    expected = {f"tests/p800_f0.25/{name}.png" for name in figures}
     expected |= {"tests/held/loops.png", "tests/held/history.png"}
     pairs = ((n, f) for n in ("held", "p800_f0.25") for f in ("page.html", "record.csv"))
     expected |= {f"tests/{name}/{file}" for name, file in pairs}
@@ -37,16 +37,18 @@ def test_a_report_holds_every_figure_and_every_table(campaign, published, writte
 
 def test_of_many_tests_only_those_asked_for_are_drawn(campaign, tmp_path, monkeypatch):
     monkeypatch.setattr("mfd_bayes.reporting.page.ALL_DRAWN", 1)
-    left, drawn = (test.id for test in campaign.tests)
-    stale = tmp_path / "tests" / left / "loops.png"
+    skipped, plotted = (test.id for test in campaign.tests)
+    stale = tmp_path / "tests" / skipped / "loops.png"
     stale.parent.mkdir(parents=True)
     stale.write_bytes(b"of an earlier report")
-    publish(campaign, ReportOptions(tmp_path, tests=(drawn,)), 1, lambda _: None)
+    publish(campaign, ReportOptions(tmp_path, tests=(plotted,)), 1, lambda _: None)
     pictures = {str(path.relative_to(tmp_path)) for path in tmp_path.glob("tests/*/*.png")}
-    assert pictures == {f"tests/{drawn}/{name}.png" for name in ("loops", "history")}
-    pages = {n: (tmp_path / "tests" / n / "page.html").read_text("utf-8") for n in (left, drawn)}
-    assert f"mfd-bayes report OUT --tests {left}" in pages[left]
-    assert "--tests" not in pages[drawn]
+    assert pictures == {f"tests/{plotted}/{name}.png" for name in ("loops", "history")}
+    pages = {
+        n: (tmp_path / "tests" / n / "page.html").read_text("utf-8") for n in (skipped, plotted)
+    }
+    assert f"mfd-bayes report OUT --tests {skipped}" in pages[skipped]
+    assert "--tests" not in pages[plotted]
 
 
 def test_what_cannot_be_made_is_refused_before_anything_is_written(monkeypatch):
@@ -72,7 +74,7 @@ def test_processes_draw_the_figures_of_many_tests_to_the_same_bytes(campaign, tm
     view = replace(campaign, tests=(*tests, campaign.tests[1]))
     publish(view, ReportOptions(tmp_path / "one"), 1, lambda _: None)
     publish(view, ReportOptions(tmp_path / "two"), 2, lambda _: None)
-    one, two = files(tmp_path / "one"), files(tmp_path / "two")
-    assert one == two
-    sizes = re.findall(r'src="loops\.png" width="(\d+)"', one["tests/t0/page.html"].decode())
+    serial, parallel = files(tmp_path / "one"), files(tmp_path / "two")
+    assert serial == parallel
+    sizes = re.findall(r'src="loops\.png" width="(\d+)"', serial["tests/t0/page.html"].decode())
     assert int(sizes[0]) > 300

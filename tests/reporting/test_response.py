@@ -37,20 +37,20 @@ def sentence(levels, best, scores=(), goal="mean", interval=None, tested=TESTED,
 
 def test_what_to_do_where_the_best_level_is_at_an_end():
     upper, lower = "This is the upper end of the sweep", "This is the lower end of the sweep"
-    for best, low, high, more in (
+    for best, low, high, advice in (
         (1.0, 0.5, 1.5, ""),
         (1.2, 0.8, 1.2, f" {upper}: sweep further."),
         (1.5, 0.8, 1.5, f" {upper} and of the tests: make a test above it before you"),
         (0.5, 0.5, 1.2, f" {lower} and of the tests: make a test below it before you"),
     ):
         ends = f"{900 * best:.4g} to {1000 * best:.4g} psi"
-        told = sentence(np.linspace(low, high, 5), best)
+        text = sentence(np.linspace(low, high, 5), best)
         start = f"The mean of the largest drift is smallest at {1000 * best:.4g} psi (90 % interval"
-        assert told.startswith(f"{start}: {ends}).{more}"), best
-        assert bool(more) == (not told.endswith(f"{ends})."))
-    told = sentence(np.linspace(0.5, 1.5, 5), 1.0, goal="passing", system=SI)
-    assert told.startswith("The probability that the largest drift exceeds its limit is smallest")
-    assert "6.89" in told
+        assert text.startswith(f"{start}: {ends}).{advice}"), best
+        assert bool(advice) == (not text.endswith(f"{ends})."))
+    text = sentence(np.linspace(0.5, 1.5, 5), 1.0, goal="passing", system=SI)
+    assert text.startswith("The probability that the largest drift exceeds its limit is smallest")
+    assert "6.89" in text
 
 
 def test_levels_that_are_best_alike_are_no_optimum():
@@ -60,6 +60,6 @@ def test_levels_that_are_best_alike_are_no_optimum():
         ((0.1, 0, 0), "smallest at 2 levels alike, 1000 to 1500 psi: none of them is better (90 %"),
         ((0, np.inf, np.inf), "smallest at 500 psi (90 % interval: 500 to 1500 psi)."),
     ):
-        told = sentence([0.5, 1.0, 1.5], 0.5, scores, "passing", (0.5, 1.5), wide)
+        text = sentence([0.5, 1.0, 1.5], 0.5, scores, "passing", (0.5, 1.5), wide)
         start = "The probability that the largest drift exceeds its limit is"
-        assert told.startswith(f"{start} {words}")
+        assert text.startswith(f"{start} {words}")

@@ -37,9 +37,9 @@ def of_two(view, **changes):
 
 
 def test_a_prediction_says_what_it_is(campaign):
-    about, other, *table = predicted_csv(campaign.tests[0].derived, "800 psi", 0.9).splitlines()
-    assert "90 % intervals" in about
-    assert other.startswith("# actuation 800 psi")
+    title, condition, *table = predicted_csv(campaign.tests[0].derived, "800 psi", 0.9).splitlines()
+    assert "90 % intervals" in title
+    assert condition.startswith("# actuation 800 psi")
     assert read("\n".join(table))[0]["quantity"] == "energy_per_cycle"
 
 
@@ -53,8 +53,8 @@ def test_no_text_is_a_formula_in_csv_or_excel(campaign, written, tmp_path):
     for line, text in zip(read(files["laws.csv"]), texts, strict=True):
         assert line["group"] == line["note"] == f"'{text}".replace("\t", " ")
         assert (line["mean"], line["r_hat"]) == ("-1.25e-07", "")
-    found = read(files["checks.csv"])[0]
-    assert (found["check"], found["feature"], found["observed"]) == ("a, b", 'say "x"', "-1")
+    entry = read(files["checks.csv"])[0]
+    assert (entry["check"], entry["feature"], entry["observed"]) == ("a, b", 'say "x"', "-1")
     book = openpyxl.load_workbook(tmp_path / "tables.xlsx")
     assert not [cell for row in book["laws"].rows for cell in row if cell.data_type == "f"]
 
@@ -81,14 +81,14 @@ def test_a_word_document_holds_both_tables(campaign, written, tmp_path):
     written(replace(of_two(campaign, rows=rows), metric=True), word=True)
     document = docx.Document(tmp_path / "tables.docx")
     assert document.paragraphs[0].text == campaign.title
-    first, last = document.tables
-    cells = {row.cells[0].paragraphs[0].text: row.cells for row in first.rows}
+    parameter_table, law_table = document.tables
+    cells = {row.cells[0].paragraphs[0].text: row.cells for row in parameter_table.rows}
     assert cells["k3"][1].text == "kN/mm"
     assert cells["k3"][2].text == "0.175\n[0.140, 0.210] 1"
     assert "1 mostly the prior." in [p.text for p in document.paragraphs]
     low = [run.text for run in cells["k3"][0].paragraphs[0].runs if run.font.subscript]
     assert low == ["3"]
-    assert len(last.rows) == 1 + len(campaign.law_rows)
+    assert len(law_table.rows) == 1 + len(campaign.law_rows)
 
 
 def test_a_data_sheet_is_the_same_in_every_form(campaign, datasheet, written):
@@ -102,8 +102,8 @@ def test_a_data_sheet_is_the_same_in_every_form(campaign, datasheet, written):
     line = table.iloc[0]
     assert (line["quantity"], line["tested"], line["n_outside"]) == ("slip_force", "yes", 1)
     assert line["nominal"] == pytest.approx(KIP, rel=1e-5)
-    for shown in ("6.01", "5.78--6.23", "4.45", "3.56--5.56"):
-        assert shown in texts["datasheet.tex"]
+    for number in ("6.01", "5.78--6.23", "4.45", "3.56--5.56"):
+        assert number in texts["datasheet.tex"]
     assert r"no test was made there.\par" in texts["datasheet.tex"]
 
 
@@ -112,7 +112,7 @@ def test_a_data_sheet_is_the_same_in_every_form(campaign, datasheet, written):
 
 @pytest.fixture
 def hostile(campaign):
-    test, held = campaign.tests
+    test, validation = campaign.tests
     rows = [r | {"note": f"{SPECIAL} γ2 ≤ ½ [x] --"} for r in (*test.rows, test.rows[0])]
     rows.append(rows[0] | {"name": f"[*{SPECIAL}", "median": -1.5e-9, "upper": math.inf})
     names = [f"{SPECIAL}{i}" for i in range(4)]
@@ -120,7 +120,7 @@ def hostile(campaign):
     law = campaign.law_rows[0] | {"unit": "kip*s/in**2", "note": "[x]"}
     laws = tuple(law | {"name": f"exponent_{SPECIAL}{i}"} for i in range(30))
     title = f"{SPECIAL}\n\\input{{secret}}\r日本"
-    return replace(campaign, tests=(*tests, held), law_rows=laws, title=title)
+    return replace(campaign, tests=(*tests, validation), law_rows=laws, title=title)
 
 
 def test_latex_has_a_column_for_each_test_and_no_text_is_a_command(campaign, hostile, written):
@@ -133,10 +133,10 @@ def test_latex_has_a_column_for_each_test_and_no_text_is_a_command(campaign, hos
         rows = [line for line in lines if " & " in line]
         assert {len(re.findall(r"(?<!\\)&", line)) + 1 for line in rows} == {columns}
         assert not [line for line in lines if r"\input" in line or "secret" in line]
-        plain = re.sub(r"\\[\\_%&#${}]", "", "\n".join(lines))
-        assert not re.search(r"[%#~]", plain)
-        assert plain.count("{") == plain.count("}")
-        assert plain.count("$") % 2 == 0
+        unescaped = re.sub(r"\\[\\_%&#${}]", "", "\n".join(lines))
+        assert not re.search(r"[%#~]", unescaped)
+        assert unescaped.count("{") == unescaped.count("}")
+        assert unescaped.count("$") % 2 == 0
         assert text.isascii()
 
 
@@ -145,5 +145,5 @@ def test_latex_typesets_the_tables(hostile, written, tmp_path):
     written(hostile)
     (tmp_path / "main.tex").write_text(DOCUMENT)
     words = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "main.tex"]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, check=False, timeout=120)
-    assert done.returncode == 0, done.stdout.decode(errors="replace")[-2000:]
+    process = subprocess.run(words, cwd=tmp_path, capture_output=True, check=False, timeout=120)
+    assert process.returncode == 0, process.stdout.decode(errors="replace")[-2000:]

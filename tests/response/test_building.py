@@ -41,9 +41,9 @@ def made(tmp_path, monkeypatch):
     return read
 
 
-def refused(words, call, *given):
+def refused(words, function, *arguments):
     with pytest.raises(BuildingError, match=words) as error:
-        call(*given)
+        function(*arguments)
     assert "\n" not in str(error.value)
 
 
@@ -78,9 +78,9 @@ def test_matrices_come_from_files(made):
     building = made(MATRICES.format("K.npy") + 'units = { mass = "Mg" }\n')
     assert building.mass[0, 0] == pytest.approx(1000 / 175126.8, rel=1e-4)
     assert building.stiffness[0, 1] == -10.0
-    for more in ("influence = [1.0]", 'heights = ["3 m"]'):
-        words = rf"matrices\.{more.split()[0]} in .* must have 2 values"
-        refused(words, made, MATRICES.format("M.csv") + more)
+    for entry in ("influence = [1.0]", 'heights = ["3 m"]'):
+        words = rf"matrices\.{entry.split()[0]} in .* must have 2 values"
+        refused(words, made, MATRICES.format("M.csv") + entry)
 
 
 def test_a_matrix_that_is_none_or_declared_huge_or_complex_is_refused(made):
@@ -98,9 +98,9 @@ def test_a_matrix_that_is_none_or_declared_huge_or_complex_is_refused(made):
     none("complex128, and no real numbers", lambda file: np.save(file, np.eye(2) * (1 + 0j)))
 
     def declared(shape):
-        about = {"descr": "<f8", "fortran_order": False, "shape": shape}
+        header = {"descr": "<f8", "fortran_order": False, "shape": shape}
         return lambda file: (
-            np.lib.format.write_array_header_1_0(file, about),
+            np.lib.format.write_array_header_1_0(file, header),
             file.write(bytes(64)),
         )
 
@@ -125,8 +125,8 @@ WRONG = [
 
 
 def test_nonsense_is_one_sentence_with_the_key(made):
-    for old, new, words in WRONG:
-        refused(words, made, GOOD.replace(old, new))
+    for target, replacement, words in WRONG:
+        refused(words, made, GOOD.replace(target, replacement))
     for limit in ("drift", "residual"):
         text = GOOD.replace('height = "12 ft"\n', "") + f'[limits]\n{limit} = "1 %"\n'
         refused(rf"limits\.{limit} in b.toml", made, text)
@@ -147,9 +147,9 @@ def test_files_in_the_folder_are_read_and_others_refused(made, tmp_path, monkeyp
     inner = tmp_path / "building"
     (inner / "sub").mkdir(parents=True)
     monkeypatch.chdir(inner)
-    for place in (tmp_path, inner, inner / "sub"):
-        np.savetxt(place / "M.csv", np.eye(1), delimiter=",")
-        (place / "valve.csv").write_text("time_s,pressure_ksi\n0,1.0\n10,1.2\n")
+    for directory in (tmp_path, inner, inner / "sub"):
+        np.savetxt(directory / "M.csv", np.eye(1), delimiter=",")
+        (directory / "valve.csv").write_text("time_s,pressure_ksi\n0,1.0\n10,1.2\n")
     for name in ("M.csv", "valve.csv"):
         (inner / f"link_{name}").symlink_to(tmp_path / name)
 

@@ -33,10 +33,10 @@ def building_of(folder, *actuations):
     return read_building(folder / "building.toml")
 
 
-def dampers(predictor, folder, last, *actuations, choice=CHOICE):
+def dampers(predictor, folder, final, *actuations, choice=CHOICE):
     """Dampers whose valves open or close to a last actuation, ksi."""
-    for name, first in (("valve", 1.0), ("slower", 1.8)):
-        rows = f"0,{first}\n1,{first}\n1.01,{last}\n2.01,{last}\n"
+    for name, initial in (("valve", 1.0), ("slower", 1.8)):
+        rows = f"0,{initial}\n1,{initial}\n1.01,{final}\n2.01,{final}\n"
         (folder / f"{name}.csv").write_text("time_s,pressure_ksi\n" + rows)
     building = building_of(folder, *actuations)
     return draw_dampers(predictor.population, predictor.model, building, **choice)
@@ -46,29 +46,29 @@ def column_of(predictor, name):
     return predictor.model.parameters.index(name)
 
 
-def slip_of(predictor, found, at):
+def slip_of(predictor, bank, index):
     """Forward slip force at one time of the history, (n, 2), kip."""
-    scale = found.scales["Fc_fwd"][:, :, at] if found.scales else 1.0
-    return found.theta[:, :, column_of(predictor, "Fc_fwd")] * scale
+    scale = bank.scales["Fc_fwd"][:, :, index] if bank.scales else 1.0
+    return bank.theta[:, :, column_of(predictor, "Fc_fwd")] * scale
 
 
 def test_each_damper_has_a_scatter_of_its_own_and_all_share_the_law(tmp_path):
     two = ['"1000 psi"'] * 2
 
     def slips(scatter, level_sd):
-        own, level = {"Fc_fwd": 0.1}, {"Fc_fwd": level_sd}
-        made = make_predictor("three_stage", scatter=own, level_sd=level)
+        scatter_sd, level = {"Fc_fwd": 0.1}, {"Fc_fwd": level_sd}
+        source = make_predictor("three_stage", scatter=scatter_sd, level_sd=level)
         choice = {"draws": 1000, "seed": 3, "scatter": scatter}
-        return np.log(slip_of(made, dampers(made, tmp_path, 1, *two, choice=choice), 0))
+        return np.log(slip_of(source, dampers(source, tmp_path, 1, *two, choice=choice), 0))
 
-    none, some, more = (slips(scatter, 0.0) for scatter in (0.0, 1.0, 2.0))
-    assert np.ptp(none) < 1e-9
-    np.testing.assert_allclose(some.std(axis=0), 0.1, rtol=4.0 / np.sqrt(2000.0))
-    np.testing.assert_allclose(more.std(axis=0), 0.2, rtol=4.0 / np.sqrt(2000.0))
-    assert abs(np.corrcoef(some.T)[0, 1]) < 4.0 / np.sqrt(1000.0)
-    first, second = slips(0.0, 0.1).T
-    assert first.std() > 0.08
-    np.testing.assert_allclose(first, second)
+    zero, single, double = (slips(scatter, 0.0) for scatter in (0.0, 1.0, 2.0))
+    assert np.ptp(zero) < 1e-9
+    np.testing.assert_allclose(single.std(axis=0), 0.1, rtol=4.0 / np.sqrt(2000.0))
+    np.testing.assert_allclose(double.std(axis=0), 0.2, rtol=4.0 / np.sqrt(2000.0))
+    assert abs(np.corrcoef(single.T)[0, 1]) < 4.0 / np.sqrt(1000.0)
+    slip_a, slip_b = slips(0.0, 0.1).T
+    assert slip_a.std() > 0.08
+    np.testing.assert_allclose(slip_a, slip_b)
 
 
 def test_a_history_that_never_changes_is_the_constant(predictor, tmp_path):
@@ -77,35 +77,35 @@ def test_a_history_that_never_changes_is_the_constant(predictor, tmp_path):
     np.testing.assert_allclose(history.scales["Fc_fwd"], 1.0)
 
 
-@pytest.mark.parametrize("other", [SLOWER, '"2000 psi"'])
-def test_dampers_at_one_actuation_are_alike_whatever_was_before(predictor, tmp_path, other):
-    found = dampers(predictor, tmp_path, 2, VALVE, other)
-    before, slip = (np.log(slip_of(predictor, found, at)) for at in (0, -1))
+@pytest.mark.parametrize("second_valve", [SLOWER, '"2000 psi"'])
+def test_dampers_at_one_actuation_are_alike_whatever_was_before(predictor, tmp_path, second_valve):
+    bank = dampers(predictor, tmp_path, 2, VALVE, second_valve)
+    initial, slip = (np.log(slip_of(predictor, bank, index)) for index in (0, -1))
     np.testing.assert_allclose(slip[:, 0], slip[:, 1], atol=0.03)
-    assert np.std(before[:, 0] - before[:, 1]) > 0.15  # the control: at 1 ksi, and at another
+    assert np.std(initial[:, 0] - initial[:, 1]) > 0.15  # the control: at 1 ksi, and at another
 
 
 def test_dampers_of_a_building_deviate_from_the_laws_alike(predictor, tmp_path):
-    found = dampers(predictor, tmp_path, 2, VALVE, VALVE)
-    np.testing.assert_array_equal(found.scales["Fc_fwd"][:, 0], found.scales["Fc_fwd"][:, 1])
+    bank = dampers(predictor, tmp_path, 2, VALVE, VALVE)
+    np.testing.assert_array_equal(bank.scales["Fc_fwd"][:, 0], bank.scales["Fc_fwd"][:, 1])
     # what the laws say of each draw is known; the sd of the rest falls with the actuation, and
     # levels one octave apart are related
     population, rng = predictor.population, np.random.default_rng([CHOICE["seed"], 0])
     index = population.draw_index(CHOICE["draws"], 1.0, rng)
     law = population.median("Fc_fwd", np.array([1.0, 2.0])).reshape(-1, 2)[index]
-    slip = np.stack([slip_of(predictor, found, at)[:, 0] for at in (0, -1)], axis=1)
-    away = np.log(slip / law)
-    np.testing.assert_allclose(away.std(axis=0), [SD, SD / 2.0], rtol=0.15)
-    assert np.corrcoef(away.T)[0, 1] == pytest.approx(0.48, abs=0.1)
+    slip = np.stack([slip_of(predictor, bank, step)[:, 0] for step in (0, -1)], axis=1)
+    deviation = np.log(slip / law)
+    np.testing.assert_allclose(deviation.std(axis=0), [SD, SD / 2.0], rtol=0.15)
+    assert np.corrcoef(deviation.T)[0, 1] == pytest.approx(0.48, abs=0.1)
 
 
 def test_dampers_begin_without_load_where_the_tests_did(tmp_path):
     backlash = make_predictor(
         "backlash", starts=InitialGapPrior(None, 0.8), scatter=0.15, level_sd=0.03
     )
-    found = dampers(backlash, tmp_path, 1, *2 * ['"1000 psi"'])
+    bank = dampers(backlash, tmp_path, 1, *2 * ['"1000 psi"'])
     loads, model = [], backlash.model
-    for theta, start in zip(found.theta.swapaxes(0, 1), found.start.T, strict=True):
+    for theta, start in zip(bank.theta.swapaxes(0, 1), bank.start.T, strict=True):
         spring, _ = model.step(model.start(theta, start), 0.0, 0.0, 0.0)
         forward, backward = (theta[:, column_of(backlash, name)] for name in ("Fc_fwd", "Fc_bwd"))
         loads.append(np.abs(spring) / np.where(spring > 0.0, forward, backward))
@@ -122,8 +122,8 @@ def test_dampers_begin_without_load_where_the_tests_did(tmp_path):
 def followed(x, coefficients, basis):
     state = Leftover.at_rest(basis, coefficients[None], np.ones((1, 1)))
     forces = []
-    for place in x:
-        state = state.step(np.array([place]), np.zeros(1), 0.0)
+    for position in x:
+        state = state.step(np.array([position]), np.zeros(1), 0.0)
         forces.append(float(state.force[0]))
     return np.array(forces)
 
@@ -136,11 +136,11 @@ def test_the_discrepancy_is_that_of_predictions_away_from_turns_and_jumps_at_non
     expected = basis(trace) @ coefficients
     got = followed(trace.displacement, coefficients, basis)
     turns = np.concatenate([[0], trace.turning_points, [1200]])
-    last = turns[np.searchsorted(turns, np.arange(1201), side="right") - 1]
-    away = np.abs(trace.displacement - trace.displacement[last]) > 1.1 * SETTLE * basis.longest
-    away[: turns[3]] = False
-    assert away.sum() > 500
-    assert np.allclose(got[away], expected[away], atol=0.02 * np.ptp(expected))
+    turn = turns[np.searchsorted(turns, np.arange(1201), side="right") - 1]
+    settled = np.abs(trace.displacement - trace.displacement[turn]) > 1.1 * SETTLE * basis.longest
+    settled[: turns[3]] = False
+    assert settled.sum() > 500
+    assert np.allclose(got[settled], expected[settled], atol=0.02 * np.ptp(expected))
     fine = followed(np.sin(2 * np.pi * np.linspace(0.0, 2.0, 4001)), coefficients, basis)
     assert np.abs(np.diff(fine)).max() < 0.06 * np.ptp(fine)
     small = followed(0.2 * trace.displacement, np.ones(2 * KNOTS), basis)

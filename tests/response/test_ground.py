@@ -16,23 +16,23 @@ IN_GAL = 980.665
 COUNTS = 6182761 / 3920 * IN_GAL
 
 
-def written(tmp_path, header, by=1.0, *, name="quake.AT2", change=str):
+def written(tmp_path, header, factor=1.0, *, name="quake.AT2", change=str):
     """A file of a header and of `MOVES` times a factor."""
-    body = "\n".join("".join(f"{v:15.7E}" for v in row) for row in by * MOVES.reshape(-1, 5))
+    body = "\n".join("".join(f"{v:15.7E}" for v in row) for row in factor * MOVES.reshape(-1, 5))
     path = tmp_path / name
     path.write_text(f"{header}\n{change(body)}\n")
     return path
 
 
-def table(tmp_path, head, form="{:.3f}", by=1.0, step=0.01):
+def table(tmp_path, head, form="{:.3f}", factor=1.0, step=0.01):
     path = tmp_path / "quake.csv"
-    rows = (f"{form.format(step * i)},{by * a:.7f}" for i, a in enumerate(MOVES))
+    rows = (f"{form.format(step * i)},{factor * a:.7f}" for i, a in enumerate(MOVES))
     path.write_text("\n".join([head, *rows, ""]))
     return path
 
 
-def read(given):
-    path, step, unit = parse_ground(str(given))
+def read(source):
+    path, step, unit = parse_ground(str(source))
     return read_ground(path, step=step, unit=unit)
 
 
@@ -41,9 +41,9 @@ def check(ground):
     assert np.allclose(ground.acceleration / GRAVITY, MOVES, atol=1e-6)
 
 
-def refused(words, call, *args, **options):
+def refused(words, function, *args, **options):
     with pytest.raises(BuildingError, match=words):
-        call(*args, **options)
+        function(*args, **options)
 
 
 def test_real_records_are_read():
@@ -59,15 +59,15 @@ def test_real_records_are_read():
 
 
 def test_a_ground_motion_has_numbers_of_its_own():
-    given = np.array([1.0, -2.0, 1.5])
-    ground = Ground("g", 0.02, given)
-    assert not np.shares_memory(ground.acceleration, given)
+    acceleration = np.array([1.0, -2.0, 1.5])
+    ground = Ground("g", 0.02, acceleration)
+    assert not np.shares_memory(ground.acceleration, acceleration)
     with pytest.raises(ValueError, match="read-only"):
         ground.acceleration[0] = 9.0
     assert ground.scaled(2.0).peak == 4.0
     assert ground.with_peak(GRAVITY).peak == pytest.approx(GRAVITY)
     ones = np.ones(5)
-    for call, words, values in (
+    for function, words, values in (
         (lambda v: Ground("g", v, ones), "step", (0.0, -0.02, np.nan, "0.02", None, True)),
         (lambda v: Ground("g", 0.02, v), "g: ", ("x", ["a"], None, [1.0], [[1.0, 2.0]])),
         (lambda v: Ground("g", 0.02, v), "g: ", ([1.0, np.nan], [0.0, 0.0], 5.0)),
@@ -80,38 +80,38 @@ def test_a_ground_motion_has_numbers_of_its_own():
         (parse_ground, r"expected FILE, FILE:0\.01s", ("a.txt:fast", "a.txt:0.02")),
     ):
         for value in values:
-            refused(words, call, value)
+            refused(words, function, value)
 
 
 # --- headers
 
 
 def test_a_header_says_its_step_in_many_ways(tmp_path):
-    for said in (
+    for text in (
         *("DT= 1.0D-02 SEC", "DT= 1.d-2", "DT=   .0100 SEC,", "DT= 10.0 (ms)", "DT(ms)= 10"),
         *("DT= .0100SEC", "SAMPLING RATE= 100 HZ", "RATE: 100 SPS", "sampled at 100 Hz"),
         *("SAMPLING FREQUENCY (Hz): 100", "SAMPLING_INTERVAL_S: 0.010000", "DELTA T: 0.01 s"),
         *("DT= .01 SEC, SAMPLING RATE= 100 HZ", "40 points at equal spacing of 0.01 sec"),
     ):
-        for first in ("NPTS=  40, ", "TITLE\n"):
-            check(read(written(tmp_path, f"{first}{said}")))
+        for heading in ("NPTS=  40, ", "TITLE\n"):
+            check(read(written(tmp_path, f"{heading}{text}")))
     check(read(written(tmp_path, "  40   0.0100   NPTS, DT")))
     check(read(written(tmp_path, NPTS, change=lambda body: body.replace("E", "D"))))  # Fortran's
 
 
 def test_a_step_that_is_not_read_whole_or_cannot_be_right_is_refused(tmp_path):
-    for said in (
+    for text in (
         *("DT= 0,01 SEC", "DT= 1.0-02 SEC", "DT= 0.0.1", "DT= .0100x", "DT= 1.0D-02x SEC"),
         *("DT= ...", "DT= 1/100", "DT= .01 NOMINAL", "DT= 10", "DT= .01 MIN"),
         "DT= .01 SEC, RATE= 200 HZ",
     ):
-        refused("step", read, written(tmp_path, f"NPTS= 40, {said}"))
-    for said in ("NPTS= 4O", "NPTS= 1,040", "NPTS= 40.5", "NPTS= 39"):
-        refused("NPTS", read, written(tmp_path, f"{said}, DT= .01 SEC"))
+        refused("step", read, written(tmp_path, f"NPTS= 40, {text}"))
+    for text in ("NPTS= 4O", "NPTS= 1,040", "NPTS= 40.5", "NPTS= 39"):
+        refused("NPTS", read, written(tmp_path, f"{text}, DT= .01 SEC"))
 
 
 def test_a_header_says_its_unit_in_many_ways(tmp_path):
-    for said, by in (
+    for text, factor in (
         ("ACCELERATION DATA IN UNITS OF (CM/S/S)", IN_GAL),
         ("ACCELERATION TIME SERIES IN UNITS OF G. FILTER POINTS: HP=0.05 Hz LP=25.0 Hz", 1.0),
         ("Units: cm/sec^2", IN_GAL),
@@ -129,7 +129,7 @@ def test_a_header_says_its_unit_in_many_ways(tmp_path):
         ("UNITS OF TIME: SEC\nUNITS: CM/S**2", IN_GAL),
         ("Peak acceleration (cm/s/s): 294", 1.0),
     ):
-        check(read(written(tmp_path, f"{said}\n{NPTS}", by)))
+        check(read(written(tmp_path, f"{text}\n{NPTS}", factor)))
 
 
 def test_a_unit_that_cannot_be_read_is_never_taken_for_g(tmp_path):
@@ -189,12 +189,12 @@ def test_what_is_given_may_not_contradict_the_file(tmp_path):
 
 
 def test_an_impossible_peak_is_asked_about(tmp_path):
-    for header, by in (("T", IN_GAL), ("UNITS OF G", IN_GAL), ("T", 1e-4), ("UNITS OF G", 1e-4)):
-        path = written(tmp_path, f"{header}\n{NPTS}", by)
-        for given in (path, f"{path}:g"):
-            refused(r"peak would be .* g, and ground motions have", read, given)
-        assert np.allclose(read_ground(path, meant=True).acceleration, by * MOVES * GRAVITY)
-        check(read_ground(path, scale=1.0 / by))
+    for header, scale in (("T", IN_GAL), ("UNITS OF G", IN_GAL), ("T", 1e-4), ("UNITS OF G", 1e-4)):
+        path = written(tmp_path, f"{header}\n{NPTS}", scale)
+        for source in (path, f"{path}:g"):
+            refused(r"peak would be .* g, and ground motions have", read, source)
+        assert np.allclose(read_ground(path, meant=True).acceleration, scale * MOVES * GRAVITY)
+        check(read_ground(path, scale=1.0 / scale))
     check(read(f"{written(tmp_path, NPTS, IN_GAL)}:gal"))
     path = written(tmp_path, NPTS, 9.0)  # 2.6 g
     refused("2 g where no unit is stated: give the unit", read, path)
@@ -287,11 +287,11 @@ def test_a_spectrum_is_no_ground_motion(tmp_path, periods):
 
 def test_columns_of_time_and_acceleration_are_not_read_as_one(tmp_path):
     path, moves = tmp_path / "a.txt", np.sin(np.arange(40.0))
-    for digits, between, width in ((2, "  ", 2), (4, ", ", 2), (2, ";", 3), (4, "  ", 3)):
+    for digits, separator, width in ((2, "  ", 2), (4, ", ", 2), (2, ";", 3), (4, "  ", 3)):
         rows = [
             [f"{0.02 * i:.{digits}f}", *[f"{a:.4f}"] * (width - 1)] for i, a in enumerate(moves)
         ]
-        path.write_text("time accel\n" + "\n".join(map(between.join, rows)))
+        path.write_text("time accel\n" + "\n".join(map(separator.join, rows)))
         words = "looks like columns of time and acceleration: save"
         refused(words, read_ground, path, step=0.02)
     rows = "\n".join(f"{a:.4f} {-a:.4f} {a / 2:.4f}" for a in moves)
@@ -338,7 +338,7 @@ def test_a_path_may_have_colons(tmp_path, monkeypatch, folder):
 
 
 def test_a_table_has_units_in_its_names_or_in_a_row(tmp_path):
-    for head, by in (
+    for head, factor in (
         ("time,acceleration\ns,g", 1.0),
         ("Time,Acceleration\n(sec),[G]", 1.0),
         ("time,acceleration\ns,cm/s2", IN_GAL),
@@ -352,7 +352,7 @@ def test_a_table_has_units_in_its_names_or_in_a_row(tmp_path):
         ("t,a\ns,m/s2", 0.01 * IN_GAL),
         ("Zeit [s],Beschleunigung [m/s²]", 0.01 * IN_GAL),
     ):
-        check(read(table(tmp_path, head, by=by)))
+        check(read(table(tmp_path, head, factor=factor)))
     check(read(table(tmp_path, "time,acceleration\nms,g", step=10.0)))
     path = table(tmp_path, "time_s,acceleration\nms,g", step=10.0)
     refused("'time_s' is in 's' by its name and in 'ms' by", read, path)
@@ -371,5 +371,5 @@ def test_times_may_be_rounded_but_no_sample_may_be_lost(tmp_path):
     path = table(tmp_path, "time_s,acceleration_g", "{:.2f}")
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines[:20], *lines[21:]]))
-    for given in (path, f"{path}:0.01s"):
-        refused("one even step", read, given)
+    for source in (path, f"{path}:0.01s"):
+        refused("one even step", read, source)

@@ -69,8 +69,8 @@ def respond(finished_run, path, quake, tmp_path):
     def run_command(*words, out=finished_run.out):
         if "--ground" not in words:
             words = ("--ground", quake, *words)
-        given = ["respond", out, "--building", path, "-o", tmp_path / "r", "--draws", "30"]
-        return here(*given, "--jobs", "1", "--tolerance", "0.2", "--force", *words)
+        arguments = ["respond", out, "--building", path, "-o", tmp_path / "r", "--draws", "30"]
+        return here(*arguments, "--jobs", "1", "--tolerance", "0.2", "--force", *words)
 
     return run_command
 
@@ -126,23 +126,23 @@ def test_all_dampers_at_a_bound_stand_beside_the_band(run, response):
     for g in (0, 1):
         ends = [bound.drift[0, g].max() for bound in (upper, lower)]
         assert ends[0] < np.median(response.drift[:, g].max(axis=1)) < ends[1]
-    shown = next(row for row in response.rows() if row["quantity"] == "damper force")
-    assert shown["lower"] < shown["upper"]
-    assert np.isnan(shown["bare"])
+    force_row = next(row for row in response.rows() if row["quantity"] == "damper force")
+    assert force_row["lower"] < force_row["upper"]
+    assert np.isnan(force_row["bare"])
 
 
 def test_a_dampers_force_is_the_peak_that_design_says_of_the_same_motion(run, tmp_path):
     excess = {"rate": 0.15, "rate_variance": 0.01, "scatter": 0.3, "tests": 10.0}
     peaks = dict.fromkeys(("fwd", "bwd"), excess)
     run = replace(run, manifest=run.manifest.changed(peak_excess=peaks))
-    still = tmp_path / "still.toml"  # a mass that stays where it is, over ground that moves
-    still.write_text(
+    building = tmp_path / "still.toml"  # a mass that stays where it is, over ground that moves
+    building.write_text(
         '[building]\ndamping = { kind = "none" }\n[[storey]]\nweight = "1e7 kip"\n'
         'stiffness = "1 kip/in"\n[[damper]]\nstorey = 1\nactuation = "1000 psi"\n'
     )
     time, speed = np.arange(301) / 50, np.pi
     ground = Ground("sine", 0.02, speed**2 * np.cos(speed * time))
-    response = run.respond(still, ground, draws=60, seed=1)
+    response = run.respond(building, ground, draws=60, seed=1)
     travel = response.travels[0][0, :, 0].astype(float)
     trace = mb.Trace.from_arrays(time, travel, actuation=1.0)
     rows = {(row["name"], row["basis"]): row for row in design_rows(run, trace)}
@@ -164,8 +164,8 @@ def test_dampers_side_by_side_are_one_of_their_force(run, device, tmp_path, coun
     several = run.respond(path, GROUND, draws=12, seed=1, kind="mean")
     assert not np.any(several.unstable | several.unsettled)
     assert several.imbalance.max() < 1e-3
-    for name, one in device.references.items():
-        assert np.allclose(several.references[name].drift, one.drift, rtol=1e-6), name
+    for name, reference in device.references.items():
+        assert np.allclose(several.references[name].drift, reference.drift, rtol=1e-6), name
     # each begins at its own place in its gap
     assert np.allclose(np.median(several.drift, axis=0), np.median(device.drift, axis=0), rtol=0.2)
 
@@ -174,13 +174,13 @@ def test_bounds_that_do_not_bound_the_median_are_named(respond, tmp_path, small_
     time = 0.02 * np.arange(100)
     path, quake = tmp_path / "b.toml", tmp_path / "sine.csv"
     path.write_text(f'{2 * STOREY}[[damper]]\nstorey = 1\ncount = 3\nactuation = "1000 psi"\n')
-    for period, peak, told in ((0.6, 40.0, True), (1.1, 120.0, False)):
+    for period, peak, expected in ((0.6, 40.0, True), (1.1, 120.0, False)):
         sine = peak * np.sin(2.0 * np.pi * time / period)
         write_csv(quake, time, sine, names=("time_s", "acceleration_in/s^2"))
         words = ("--building", path, "--ground", quake, "--kind", "mean")
         printed = " ".join(respond(*words).output.split())
-        assert ("the median of the draws and do not bound it" in printed) == told, printed
-        assert ("†</td>" in (tmp_path / "r" / "report.html").read_text()) >= told
+        assert ("the median of the draws and do not bound it" in printed) == expected, printed
+        assert ("†</td>" in (tmp_path / "r" / "report.html").read_text()) >= expected
 
 
 @pytest.mark.parametrize("limit", ["0.001 %", "30 %"])
@@ -213,49 +213,49 @@ def test_shares_add_up_and_find_what_matters(response):
         shares = variance_shares(response, ground=ground_motion)
         assert sum(shares.values()) == pytest.approx(1.0)
         assert not any("record" in source for source in shares)
-    first = response.dampers.about["gap"][:, 0]
-    planted = replace(response, drift=np.broadcast_to(first[:, None, None], response.drift.shape))
+    gap = response.dampers.about["gap"][:, 0]
+    planted = replace(response, drift=np.broadcast_to(gap[:, None, None], response.drift.shape))
     assert variance_shares(planted)["gap"] > 0.7
-    away = np.ones_like(response.unstable)
-    assert variance_shares(replace(response, unstable=away)) == {}
+    unstable = np.ones_like(response.unstable)
+    assert variance_shares(replace(response, unstable=unstable)) == {}
 
 
 def test_a_history_that_ends_early_or_leaves_the_tests_is_told(run, tmp_path):
     path = tmp_path / "b.toml"
     path.write_text(BUILDING.replace('actuation = "1000 psi"', HISTORY))
-    for last, words in (
+    for final, words in (
         ("0.5,1.0", "is known from 0 s to 0.5 s, and the ground motion"),
         ("1000,15.0", "beyond the tests: the actuation"),
         ("1000,1.2", None),
     ):
-        (tmp_path / "valve.csv").write_text(f"time_s,pressure_ksi\n0,1.0\n{last}\n")
+        (tmp_path / "valve.csv").write_text(f"time_s,pressure_ksi\n0,1.0\n{final}\n")
         response = run.respond(path, GROUND, draws=12, kind="mean", tolerance=0.2)
-        told = [remark for remark in response.remarks if "actuation" in remark]
-        assert bool(told) == (words is not None)
-        assert all(words in remark for remark in told)
+        remarks = [remark for remark in response.remarks if "actuation" in remark]
+        assert bool(remarks) == (words is not None)
+        assert all(words in remark for remark in remarks)
 
 
 @pytest.mark.slow
 def test_the_command_writes_a_page_and_tables(respond, tmp_path):
-    out = tmp_path / "r"
-    done = respond("--draws", 10, "--sweep", 'actuation="800 psi to 1200 psi in 2 steps"')
-    assert done.exit_code == 0, done.output
-    assert "the largest storey drift is" in done.output
-    assert "is smallest at" in done.output
-    page = (out / "report.html").read_text()
+    root = tmp_path / "r"
+    outcome = respond("--draws", 10, "--sweep", 'actuation="800 psi to 1200 psi in 2 steps"')
+    assert outcome.exit_code == 0, outcome.output
+    assert "the largest storey drift is" in outcome.output
+    assert "is smallest at" in outcome.output
+    page = (root / "report.html").read_text()
     assert "Which actuation is best?" in page
     assert "http://" not in page.replace("http://www.w3.org", "")
-    assert json.loads((out / "response.json").read_text())["peaks"][0]["quantity"] == "drift ratio"
-    head, *levels = (out / "sweep.csv").read_text().splitlines()
+    assert json.loads((root / "response.json").read_text())["peaks"][0]["quantity"] == "drift ratio"
+    head, *levels = (root / "sweep.csv").read_text().splitlines()
     assert head.startswith("actuation_ksi,drift_mean_in,drift_median_in,drift_lower_95_in,")
     assert len(levels) == 3
-    assert r"\toprule" in (out / "peaks.tex").read_text()
+    assert r"\toprule" in (root / "peaks.tex").read_text()
     assert respond("--draws", 10).exit_code == 0
-    assert not (out / "sweep.csv").exists()
+    assert not (root / "sweep.csv").exists()
 
 
 def test_a_mistake_is_one_sentence(run, respond, path, tmp_path):
-    by = ["--statistic", "passing", "--minimise", "acceleration"]
+    options = ["--statistic", "passing", "--minimise", "acceleration"]
     for words, named in (
         (["--sweep", "actuation=800 psi"], "expected actuation"),
         (["--sweep", "actuation=500 N to 1500 N"], "--sweep: the actuation"),
@@ -264,13 +264,13 @@ def test_a_mistake_is_one_sentence(run, respond, path, tmp_path):
         (["--ground", "nothing.AT2"], "nothing.AT2"),
         (["--building", "nothing.toml"], "nothing.toml"),
         (["--statistic", "q90"], "--sweep"),
-        (["--sweep", "actuation=800 psi to 900 psi", *by], "limits.acceleration"),
+        (["--sweep", "actuation=800 psi to 900 psi", *options], "limits.acceleration"),
         (["--draws", 10**30], "'--draws'"),
         (["--peak", "5e8 g", "--quiet"], "every draw diverged under quake.csv"),
     ):
-        done = respond(*words)
-        assert done.exit_code == 2
-        assert named in done.output
+        outcome = respond(*words)
+        assert outcome.exit_code == 2
+        assert named in outcome.output
         assert not (tmp_path / "r").exists()
     trace = next(iter(run.tests.values())).trace
     for ask in (
@@ -288,42 +288,44 @@ def test_a_mistake_is_one_sentence(run, respond, path, tmp_path):
 def test_peaks_are_printed_and_must_be_possible_or_meant(respond, quake, tmp_path, small_pictures):
     small, large = tmp_path / "small.txt", tmp_path / "large.txt"
     small.write_text("0.01 -0.1 0.02 0.05")
-    first, second, *_ = respond("--ground", quake, "--ground", f"{small}:0.01s").output.splitlines()
-    assert first == "quake.csv: peak 0.518 g, 1.98 s in steps of 0.02 s"
-    assert second == "small.txt: peak 0.1 g, 0.03 s in steps of 0.01 s"
+    line_a, line_b, *_ = respond(
+        "--ground", quake, "--ground", f"{small}:0.01s"
+    ).output.splitlines()
+    assert line_a == "quake.csv: peak 0.518 g, 1.98 s in steps of 0.02 s"
+    assert line_b == "small.txt: peak 0.1 g, 0.03 s in steps of 0.01 s"
     large.write_text("100 -281 30 12")
-    done = respond("--ground", f"{large}:0.01s")
-    assert done.exit_code == 2
-    assert "large.txt: its peak would be 281 g" in " ".join(done.output.split())
+    outcome = respond("--ground", f"{large}:0.01s")
+    assert outcome.exit_code == 2
+    assert "large.txt: its peak would be 281 g" in " ".join(outcome.output.split())
     for words in (["--scale", "0.001"], ["--peak", "0.3 g"], ["--unit", "gal"]):
         assert respond("--ground", f"{large}:0.01s", *words).exit_code == 0
-    done = respond("--ground", f"{large}:0.01s:cm/s^2")
-    assert "large.txt: peak 0.287 g" in done.output
+    outcome = respond("--ground", f"{large}:0.01s:cm/s^2")
+    assert "large.txt: peak 0.287 g" in outcome.output
 
 
 def test_an_answer_beyond_the_tests_says_so_beside_it(respond, quake, tmp_path, small_pictures):
-    out = tmp_path / "r"
-    inside = respond("--scale", "0.4")
-    assert inside.exit_code == 0, inside.output
-    assert "beyond the tests" not in inside.output
-    assert "✓ Answered" in (out / "report.html").read_text()
+    folder = tmp_path / "r"
+    near_tests = respond("--scale", "0.4")
+    assert near_tests.exit_code == 0, near_tests.output
+    assert "beyond the tests" not in near_tests.output
+    assert "✓ Answered" in (folder / "report.html").read_text()
     far = respond("--ground", quake, "--ground", quake, "--scale", "6", "--quiet")
     assert far.exit_code == 0, far.output
-    answer, bounds, matters, beside, *_ = far.output.splitlines()
+    answer, bounds, matters, caveat, *_ = far.output.splitlines()
     assert "the largest storey drift is" in answer
     assert "with all dampers at their bound, lower " in bounds
     assert "% of the variance of the largest drift is " in matters
-    assert "beyond the tests: the stroke, " in beside
-    assert "times the largest" in beside
-    with (out / "peaks.csv").open() as file:
+    assert "beyond the tests: the stroke, " in caveat
+    assert "times the largest" in caveat
+    with (folder / "peaks.csv").open() as file:
         for row in csv.DictReader(file):
             assert min(float(row[f"all_at_{end}_bound"]) for end in ("lower", "upper")) > 0
-    page = (out / "report.html").read_text()
+    page = (folder / "report.html").read_text()
     assert "! Answered, but beyond the tests" in page
     assert "✓ Answered" not in page
-    said = json.loads((out / "response.json").read_text())["verdict"]
-    assert "beyond the tests: the stroke" in said[3]
-    with (out / "shares.csv").open() as file:
+    verdict = json.loads((folder / "response.json").read_text())["verdict"]
+    assert "beyond the tests: the stroke" in verdict[3]
+    with (folder / "shares.csv").open() as file:
         sources = [row["source"] for row in csv.DictReader(file)]
     assert not any("record to record" in source for source in sources)
     assert sources.count("law and level") == 4  # of two quantities and two motions
@@ -332,14 +334,14 @@ def test_an_answer_beyond_the_tests_says_so_beside_it(respond, quake, tmp_path, 
 def test_an_answer_says_what_its_run_may_be_used_for(
     finished_run, respond, tmp_path, small_pictures
 ):
-    out, sentence = tmp_path / "out", "In 1 of 3 tests the model misses the slip force."
-    shutil.copytree(finished_run.out, out)
+    folder, sentence = tmp_path / "out", "In 1 of 3 tests the model misses the slip force."
+    shutil.copytree(finished_run.out, folder)
     for use, head in (
         ("usable with care", "! Answered, with care"),
         ("not usable", "✗ The run is not usable"),
     ):
-        mb.open_run(out).rewrite(verdicts={"campaign": use, "sentence": sentence})
-        printed = respond("--scale", "0.4", "--quiet", out=out).output
+        mb.open_run(folder).rewrite(verdicts={"campaign": use, "sentence": sentence})
+        printed = respond("--scale", "0.4", "--quiet", out=folder).output
         page = (tmp_path / "r" / "report.html").read_text()
         assert f"the run of this device is {use}: {sentence}" in printed
         assert f"the run of this device is {use}: {sentence}" in page
@@ -349,9 +351,9 @@ def test_an_answer_says_what_its_run_may_be_used_for(
 def test_any_name_of_a_ground_motion_is_written_as_plain_text(respond, tmp_path, small_pictures):
     quake = tmp_path / os.fsdecode(b"=1+1\x1b[31m\x07\xff.txt")
     quake.write_text("DT= .02 SEC\n0.1 -0.2 0.15 0.05 -0.1 0.02")
-    done = respond("--ground", quake)
-    assert done.exit_code == 0, done.output
-    assert "\x1b" not in done.output
+    outcome = respond("--ground", quake)
+    assert outcome.exit_code == 0, outcome.output
+    assert "\x1b" not in outcome.output
     for table in (tmp_path / "r").glob("*.csv"):
         for cell in chain.from_iterable(csv.reader(table.read_text(encoding="utf-8").splitlines())):
             assert cell.isprintable()
@@ -367,8 +369,8 @@ def test_a_folder_of_others_is_left_alone(finished_run, path, quake, tmp_path):
         (tmp_path / "mine", "is not empty: give another name, or --force"),
         (finished_run.out, "is a run folder"),
     ):
-        given = ["respond", finished_run.out, "--building", path, "--ground", quake, "-o", folder]
-        assert words in said(*given, code=2)
+        command = ["respond", finished_run.out, "--building", path, "--ground", quake, "-o", folder]
+        assert words in said(*command, code=2)
 
 
 def test_the_first_building_and_its_ground_motion_are_read(tmp_path):
@@ -379,23 +381,23 @@ def test_the_first_building_and_its_ground_motion_are_read(tmp_path):
 
 @pytest.mark.parametrize("to", ["quofem", "csv", pytest.param("opensees", marks=pytest.mark.slow)])
 def test_samples_go_to_other_programs(finished_run, tmp_path, to):
-    out = tmp_path / "samples"
-    words = ["export", finished_run.out, "--to", to, "-o", out, "--draws", "12"]
+    folder = tmp_path / "samples"
+    words = ["export", finished_run.out, "--to", to, "-o", folder, "--draws", "12"]
     said(*words, "--actuation", "1000 psi")
     if to == "quofem":
-        column = np.loadtxt(out / "Fc_fwd.txt")
-        head, *rows = (out / "dakotaTab.out").read_text().splitlines()
+        column = np.loadtxt(folder / "Fc_fwd.txt")
+        head, *rows = (folder / "dakotaTab.out").read_text().splitlines()
         names = head.split()
         assert names[:2] == ["%eval_id", "interface"]
-        at = names.index("Fc_fwd")
-        assert np.allclose([float(row.split()[at]) for row in rows], column)
-        group = json.loads((out / "randomVariables.json").read_text())["RVdataGroup"]
+        index = names.index("Fc_fwd")
+        assert np.allclose([float(row.split()[index]) for row in rows], column)
+        group = json.loads((folder / "randomVariables.json").read_text())["RVdataGroup"]
         assert group == ["{" + ",".join(names[2:]) + "}"]
     elif to == "csv":
-        assert (out / "samples.csv").read_text().startswith("sigma0")
+        assert (folder / "samples.csv").read_text().startswith("sigma0")
     else:
-        assert (out / "BoucWen.tcl").read_text().count("uniaxialMaterial BoucWen") == 12
-        misfit = json.loads((out / "about.json").read_text())["misfit"]["BoucWen"]
+        assert (folder / "BoucWen.tcl").read_text().count("uniaxialMaterial BoucWen") == 12
+        misfit = json.loads((folder / "about.json").read_text())["misfit"]["BoucWen"]
         assert 0 < np.median(misfit) < 0.6
 
 
@@ -403,36 +405,38 @@ def test_samples_go_to_other_programs(finished_run, tmp_path, to):
 def test_ctrl_c_leaves_nothing(finished_run, path, quake, tmp_path):
     words = ["respond", str(finished_run.out), "--building", str(path), "--ground", str(quake)]
     words += ["-o", str(tmp_path / "r"), "--draws", "3000", "--jobs", "2"]
-    begun = subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-m", "mfd_bayes", *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
         env=os.environ | {"TMPDIR": str(tmp_path)},
     )
-    assert begun.stdout is not None
-    while "in the earthquake" not in begun.stdout.readline():
-        assert begun.poll() is None
-    begun.send_signal(signal.SIGINT)
-    said = begun.communicate(timeout=60)[0]
-    assert begun.returncode == 130
-    assert "interrupted" in said
+    assert process.stdout is not None
+    while "in the earthquake" not in process.stdout.readline():
+        assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    output = process.communicate(timeout=60)[0]
+    assert process.returncode == 130
+    assert "interrupted" in output
     assert not (tmp_path / "r").exists()
-    assert not [place for place in tmp_path.glob("mfd_bayes-*") if any(place.glob("*.npz"))]
+    assert not [folder for folder in tmp_path.glob("mfd_bayes-*") if any(folder.glob("*.npz"))]
 
 
 def test_a_draw_that_ran_away_at_a_level_does_not_count_in_a_sweep(device):
-    away = np.zeros_like(device.unstable)
-    away[3] = True
-    drift = np.where(away[..., None], 1e5, device.drift)
+    failed = np.zeros_like(device.unstable)
+    failed[3] = True
+    drift = np.where(failed[..., None], 1e5, device.drift)
     levels = np.array([0.8, 1.0]), "ksi"
-    sweep = sweep_of(levels, [device, replace(device, drift=drift, unstable=away)], "drift", "mean")
+    sweep = sweep_of(
+        levels, [device, replace(device, drift=drift, unstable=failed)], "drift", "mean"
+    )
     assert sweep.values["drift"].shape == (2, 11, 1)
     assert sweep.scores[1] == pytest.approx(sweep.scores[0])
     heeded = sweep_of(levels, [device, replace(device, drift=drift)], "drift", "mean")
     assert heeded.scores[1] > 1e3  # the control
     assert "leaves out 1 of 12 draws" in sweep.remarks[0]
-    lost = replace(device, unstable=np.ones_like(away))
+    lost = replace(device, unstable=np.ones_like(failed))
     sweep = sweep_of(levels, [device, lost], "drift", "mean")
     assert sweep.best == 0.8
     assert np.isinf(sweep.scores[1])
@@ -446,15 +450,15 @@ def test_levels_that_are_best_alike_are_an_interval_and_one_is_placed_by_its_nei
 
     def swept(goal, *ratios):
         """The sweep of responses whose draws have these largest drifts, as shares of the height."""
-        drifts = [144.0 * np.tile(own[:, None, None], (1, 2, 2)) for own in ratios]
-        made = [replace(response, drift=drift) for drift in drifts]
-        return sweep_of((levels, "ksi"), made, "drift", goal)
+        drifts = [144.0 * np.tile(ratio[:, None, None], (1, 2, 2)) for ratio in ratios]
+        responses = [replace(response, drift=drift) for drift in drifts]
+        return sweep_of((levels, "ksi"), responses, "drift", goal)
 
-    few, none = np.where(np.arange(40) < 16, 0.02, 0.001), np.full(40, 0.001)
+    exceeding, passing = np.where(np.arange(40) < 16, 0.02, 0.001), np.full(40, 0.001)
     for ratios, best in (
-        ([rng.permutation(few) for _ in levels], (3.0, 6.0)),
-        ([none] * 4, (3.0, 6.0)),
-        ([few, none, none, few], (4.0, 5.0)),
+        ([rng.permutation(exceeding) for _ in levels], (3.0, 6.0)),
+        ([passing] * 4, (3.0, 6.0)),
+        ([exceeding, passing, passing, exceeding], (4.0, 5.0)),
     ):
         sweep = swept("passing", *ratios)
         assert np.isnan(sweep.best)
@@ -470,8 +474,8 @@ def test_levels_that_are_best_alike_are_an_interval_and_one_is_placed_by_its_nei
 def test_the_name_of_a_ground_motion_may_be_long_and_hold_anything(path):
     building, shaken = read_building(path), 100.0 * np.sin(np.arange(50) / 5.0)
     grounds = [Ground(name, 0.02, shaken) for name in ("g" * 250, "a/b", "a b", "a_b")]
-    here, there = (
+    short, long = (
         response_of(building, grounds, plain_friction(np.ones(2)), 0.05, jobs=jobs)
         for jobs in (1, 2)
     )
-    np.testing.assert_array_equal(there.drift, here.drift)
+    np.testing.assert_array_equal(long.drift, short.drift)

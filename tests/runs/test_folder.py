@@ -14,21 +14,21 @@ from mfd_bayes.runs.resume import prepare_folder, with_keys
 from mfd_bayes.runs.run import open_run
 
 
-def resume(plan, out, priors=None, **settings):
+def resume(plan, folder, priors=None, **settings):
     """Resume with changed settings, or another prior file, as a campaign file with them has it."""
     manifest = plan.manifest
-    changed = manifest.changed(
+    requested = manifest.changed(
         settings=manifest.settings.model_copy(update=settings),
         inputs={**manifest.inputs, "campaign.toml": "0" * 64},
     )
-    changed = with_keys(changed, priors or plan.priors)
-    return prepare_folder(changed, plan.campaign.folder, out, resume=True)
+    requested = with_keys(requested, priors or plan.priors)
+    return prepare_folder(requested, plan.campaign.folder, folder, resume=True)
 
 
-def stored(out):
+def stored(folder):
     """Tests whose posteriors are stored, and whether what was left out is."""
-    tests = "".join(name for name in "ab" if (out / f"tests/{name}/posterior.nc").is_file())
-    return tests, (out / "crossvalidation").is_dir()
+    tests = "".join(name for name in "ab" if (folder / f"tests/{name}/posterior.nc").is_file())
+    return tests, (folder / "crossvalidation").is_dir()
 
 
 def wider_scatter(priors):
@@ -63,8 +63,8 @@ CHANGES = {
 @pytest.mark.parametrize("name", CHANGES)
 def test_what_does_not_rest_on_a_change_is_kept(plan, out, name):
     settings, priors, tests, population, left_out = CHANGES[name]
-    changed = settings(plan.manifest.settings)
-    fields = {name: getattr(changed, name) for name in type(changed).model_fields}
+    requested = settings(plan.manifest.settings)
+    fields = {name: getattr(requested, name) for name in type(requested).model_fields}
     resumed = resume(plan, out, priors and priors(plan.priors), **fields)
     assert stored(out) == (tests, left_out)
     status = {name: entry.status for name, entry in resumed.manifest.tests.items()}
@@ -88,7 +88,7 @@ def other_tests(manifest):
 
 
 def test_a_run_that_cannot_be_resumed_is_refused_and_stays(plan, out, change):
-    whole = (out / "manifest.json").read_text()
+    intact = (out / "manifest.json").read_text()
     for how, words in [
         (lambda m: m.update(seed=2), "seed changed.*--force"),
         (lambda m: m.update(versions={f"v{i}": "1" for i in range(100)}), "versions .*98 more"),
@@ -98,7 +98,7 @@ def test_a_run_that_cannot_be_resumed_is_refused_and_stays(plan, out, change):
         with pytest.raises(StoreError, match=words):
             resume(plan, out)
         assert stored(out) == ("ab", True)
-        (out / "manifest.json").write_text(whole)
+        (out / "manifest.json").write_text(intact)
     for content in ("", '{"status": "run', "[]", "{}"):
         (out / "manifest.json").write_text(content)
         with pytest.raises(StoreError, match=r"cannot be resumed.*--force"):
@@ -123,18 +123,18 @@ def test_nothing_is_written_through_a_link(plan, out, tmp_path):
     elsewhere = tmp_path / "elsewhere"
     (out / "tests/a").rename(elsewhere)
     (out / "tests/a").symlink_to(elsewhere)
-    before = {p: p.read_bytes() for p in elsewhere.rglob("*") if p.is_file()}
-    home = plan.campaign.folder
+    snapshot = {p: p.read_bytes() for p in elsewhere.rglob("*") if p.is_file()}
+    source = plan.campaign.folder
     for act in (
         lambda: open_run(out),
         lambda: report(ReportOptions(out)),
         lambda: discard(out),
         lambda: resume(plan, out),
-        lambda: prepare_folder(plan.manifest, home, out, force=True),
+        lambda: prepare_folder(plan.manifest, source, out, force=True),
     ):
         with pytest.raises(StoreError, match="outside of the run folder"):
             act()
-    assert {p: p.read_bytes() for p in elsewhere.rglob("*") if p.is_file()} == before
+    assert {p: p.read_bytes() for p in elsewhere.rglob("*") if p.is_file()} == snapshot
     assert (out / "manifest.json").is_file()
 
 
@@ -167,9 +167,9 @@ def forget(manifest):
     ],
     ids=["truncated", "empty", "another test's"],
 )
-@pytest.mark.parametrize("known", [True, False], ids=["hash known", "hash not known"])
-def test_a_test_whose_file_is_damaged_is_sampled_again(plan, out, change, damage, known):
-    if not known:
+@pytest.mark.parametrize("hashed", [True, False], ids=["hash hashed", "hash not hashed"])
+def test_a_test_whose_file_is_damaged_is_sampled_again(plan, out, change, damage, hashed):
+    if not hashed:
         change(out, forget)
         assert resume(plan, out).notes == ()  # the control: it is whole
         assert stored(out)[0] == "ab"

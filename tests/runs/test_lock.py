@@ -30,9 +30,9 @@ with end_on_signals(), alone_in(Path(sys.argv[1])):
 
 
 @contextmanager
-def held(out):
+def held(folder):
     """Another process that works in a folder."""
-    command = [sys.executable, "-c", HOLD, str(out)]
+    command = [sys.executable, "-c", HOLD, str(folder)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout.readline() == "in\n"
@@ -76,28 +76,28 @@ def test_a_process_that_ends_leaves_no_file(out):
 
 
 def test_every_command_that_writes_into_a_run_takes_its_lock(small_run, tmp_path):
-    out, campaign = shutil.copytree(small_run, tmp_path / "lugre"), tmp_path / "campaign.toml"
+    folder, campaign = shutil.copytree(small_run, tmp_path / "lugre"), tmp_path / "campaign.toml"
     campaign.write_text('[[test]]\nid = "a"\nfile = "a.csv"\nactuation = "500 psi"\n')
     time = np.arange(401) / 50
     write_csv(tmp_path / "a.csv", time, np.sin(np.pi * time), np.tanh(4 * np.cos(np.pi * time)))
-    with held(out) as owner:
-        before = contents(out)
+    with held(folder) as owner:
+        snapshot = contents(folder)
         for words in (
-            ("report", out),
-            ("calibrate", campaign, "-o", out, "--resume"),
-            ("demo", out, "--force"),
+            ("report", folder),
+            ("calibrate", campaign, "-o", folder, "--resume"),
+            ("demo", folder, "--force"),
             ("compare", campaign, "-o", tmp_path, "--models", "lugre,bouc_wen", "--resume"),
         ):
             sentence = refusal(*words)
             assert "another process is working in" in sentence, words
             assert f"process {owner.pid} " in sentence, words
-        assert contents(out) == before
+        assert contents(folder) == snapshot
 
 
 def test_draws_of_another_run_are_not_taken_for_those_that_were_opened(small_run, tmp_path):
     folder = shutil.copytree(small_run, tmp_path / "out")
-    found = open_run(folder).tests["a"]
+    test = open_run(folder).tests["a"]
     path = folder / "tests" / "a" / "posterior.nc"
     path.write_bytes(path.read_bytes() + b"\0")
     with pytest.raises(StoreError, match="was changed by another process"):
-        _ = found.draws
+        _ = test.draws

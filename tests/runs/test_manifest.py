@@ -24,8 +24,8 @@ def read_all(folder):
 @pytest.mark.parametrize("name", STORED)
 def test_a_file_that_was_changed_or_is_missing_or_a_link_is_refused(out, tmp_path, name):
     read_all(out)  # the control
-    whole = (out / name).read_bytes()
-    (out / name).write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))  # it may still be read
+    content = (out / name).read_bytes()
+    (out / name).write_bytes(content[:-1] + bytes([content[-1] ^ 1]))  # it may still be read
     with pytest.raises(StoreError, match=rf"{name} is not what this run wrote"):
         read_all(out)
     (out / name).rename(tmp_path / "elsewhere")
@@ -65,10 +65,10 @@ def test_a_file_that_was_changed_or_is_missing_or_a_link_is_refused(out, tmp_pat
     ],
 )
 def test_a_manifest_that_says_something_else_is_refused(out, change, keys, value, words):
-    def replace_value(part):
+    def replace_value(node):
         for key in keys[:-1]:
-            part = part[key]
-        part[keys[-1]] = value
+            node = node[key]
+        node[keys[-1]] = value
 
     change(out, replace_value)
     with pytest.raises(StoreError, match=words) as caught:

@@ -27,8 +27,8 @@ def trace(run):
 
 
 def test_tests_are_a_mapping_that_cannot_be_changed(run):
-    same = pickle.loads(pickle.dumps(run))
-    assert list(same.tests) == [*run.tests]
+    restored = pickle.loads(pickle.dumps(run))
+    assert list(restored.tests) == [*run.tests]
     assert run.tests.get("zz") is None
     with pytest.raises(TypeError):
         run.tests["zz"] = run.tests["p500_f0.5"]
@@ -38,9 +38,9 @@ def test_tests_are_a_mapping_that_cannot_be_changed(run):
 
 @pytest.mark.parametrize("name", ["zz", None, 5, ["a"]])
 def test_what_is_said_of_a_test_that_is_not_there_is_a_sentence(run, trace, name):
-    for call in (run.session, run.place, lambda name: run.extrapolations(trace, name or "zz")):
+    for function in (run.session, run.place, lambda name: run.extrapolations(trace, name or "zz")):
         with pytest.raises(NotThereError, match=r"the run has no test .*: there are"):
-            call(name)
+            function(name)
 
 
 def test_runs_and_tests_that_are_not_there_are_named(run):
@@ -76,9 +76,9 @@ THIS = {"kind": "this_test", "test": "p500_f0.5"}
     ],
 )
 def test_options_are_checked(run, trace, act, options, words):
-    given = {"predict": (trace,), "respond": ("none.toml", "none.AT2")}.get(act, ())
+    arguments = {"predict": (trace,), "respond": ("none.toml", "none.AT2")}.get(act, ())
     with pytest.raises(mb.MfdError, match=words):
-        getattr(run, act)(*given, **options)
+        getattr(run, act)(*arguments, **options)
 
 
 def test_another_actuation_of_a_test_is_refused_in_the_units_asked_for(run, trace):
@@ -134,12 +134,12 @@ def test_each_model_gives_half_of_the_draws_and_the_band_is_that_of_the_mixture(
     average = mb.ModelAverage([run, other])
     assert average.models == ("three_stage (ou)", "three_stage (student_t)")
     band = average.predict(motion, "observation", draws=101, seed=3)
-    parts = [
-        each.predict(motion, "observation", draws=n, seed=3).draws
-        for each, n in ((run, 51), (other, 50))
+    draws = [
+        source.predict(motion, "observation", draws=n, seed=3).draws
+        for source, n in ((run, 51), (other, 50))
     ]
-    np.testing.assert_array_equal(band.draws, np.concatenate(parts))
-    expected = np.quantile(np.concatenate(parts), [0.025, 0.975], axis=0)
+    np.testing.assert_array_equal(band.draws, np.concatenate(draws))
+    expected = np.quantile(np.concatenate(draws), [0.025, 0.975], axis=0)
     np.testing.assert_allclose([band.lower, band.upper], expected)
     assert "in equal parts" in band.source
     far = replace(motion, actuation=1.4)  # a remark of both is said once

@@ -17,67 +17,67 @@ def run(made_run):
     return open_run(made_run)
 
 
-def ordered(run, turns=None, **after):
+def ordered(run, turns=None, **predecessors):
     settings = run.manifest.settings
-    for name, before in after.items():
-        settings = settings.with_test(name, after=before, file=f"{name}.csv")
+    for name, predecessor in predecessors.items():
+        settings = settings.with_test(name, after=predecessor, file=f"{name}.csv")
     manifest = run.manifest.changed(settings=settings)
-    for name, around in (turns or {}).items():
-        manifest = manifest.with_test(name, **around)
+    for name, ends in (turns or {}).items():
+        manifest = manifest.with_test(name, **ends)
     return replace(run, manifest=manifest)
 
 
 def test_a_test_begins_where_the_posterior_of_the_one_before_ends(run):
     chained = ordered(run, c="b")
     trace = run.held_out["c"]
-    found = chained.sequence.before("c", trace, FORECAST)
+    ending = chained.sequence.before("c", trace, FORECAST)
     model, test = run.tests["b"].posterior.model, run.tests["b"]
     values = test.stored.values()
     pick = np.linspace(0, len(values["start"]) - 1, 20).astype(int)
-    taken = {name: column[pick] for name, column in values.items()}
-    ended = model.end(model.theta(taken), test.trace, taken["start"])
-    gap = model.gap(taken)
+    sample = {name: column[pick] for name, column in values.items()}
+    ended = model.end(model.theta(sample), test.trace, sample["start"])
+    gap = model.gap(sample)
     moved = ended + (trace.displacement[0] - test.trace.displacement[-1]) / gap
-    np.testing.assert_allclose(found.place, np.clip(moved, 0.0, 1.0))
-    assert (found.test, found.predicted) == ("b", False)
+    np.testing.assert_allclose(ending.place, np.clip(moved, 0.0, 1.0))
+    assert (ending.test, ending.predicted) == ("b", False)
     assert chained.sequence.before("b", trace, FORECAST) is None
 
 
 def test_what_the_windows_leave_out_moves_the_device_in_between(run):
     trace = run.held_out["c"]
-    for turns, place in (
+    for turns, expected in (
         ({"b": {"after": (90.0, 80.0)}}, 0.0),
         ({"b": {"after": (90.0, -90.0)}}, 1.0),
         ({"c": {"before": (90.0, -90.0)}}, 1.0),
         ({"b": {"after": (-90.0,)}, "c": {"before": (90.0,)}}, 0.0),
     ):
-        found = ordered(run, turns, c="b").sequence.before("c", trace, FORECAST)
-        np.testing.assert_allclose(found.place, place, atol=1e-9)
+        ending = ordered(run, turns, c="b").sequence.before("c", trace, FORECAST)
+        np.testing.assert_allclose(ending.place, expected, atol=1e-9)
 
 
 def test_a_prediction_says_which_test_it_follows(run):
     motion = replace(run.held_out["c"], force=None)
     band = run.predict(motion, draws=20, after="b")
     assert band.source.endswith("begun where in its gap test b ended")
-    model, found = run.tests["b"].posterior.model, run.sequence.ending("b", motion, FORECAST)
-    assert set(band.values["start"]) <= set(model.start_at(found.place, motion))
-    own = run.predict(motion, draws=20, after=found)
-    np.testing.assert_array_equal(own.draws, band.draws)
-    free = run.predict(motion, draws=20)
-    assert not np.array_equal(free.values["start"], band.values["start"])
+    model, ending = run.tests["b"].posterior.model, run.sequence.ending("b", motion, FORECAST)
+    assert set(band.values["start"]) <= set(model.start_at(ending.place, motion))
+    explicit = run.predict(motion, draws=20, after=ending)
+    np.testing.assert_array_equal(explicit.draws, band.draws)
+    unordered = run.predict(motion, draws=20)
+    assert not np.array_equal(unordered.values["start"], band.values["start"])
 
 
 def test_a_test_that_is_predicted_itself_is_followed_as_it_is_predicted(run):
     chained = ordered(run, b="a", c="b")
-    some = run.tests["a"].posterior
-    predictor = Predictor(run.population, some.model, some.noise)
+    posterior = run.tests["a"].posterior
+    predictor = Predictor(run.population, posterior.model, posterior.noise)
     left_out = {"b": run.tests["b"].trace, **run.held_out}
     sequence = TestSequence(chained.manifest, {"a": run.tests["a"]}, left_out, predictor)
-    found = sequence.before("c", run.held_out["c"], FORECAST)
-    assert (found.test, found.predicted) == ("b", True)
-    assert "test b, which is predicted itself, ended" in found.words
+    ending = sequence.before("c", run.held_out["c"], FORECAST)
+    assert (ending.test, ending.predicted) == ("b", True)
+    assert "test b, which is predicted itself, ended" in ending.words
     assert sequence.before("b", left_out["b"], FORECAST).predicted is False
     # without the posterior of a it begins anywhere, and a slow way forward makes that forgotten
-    alone = replace(sequence, tests={}, motions=left_out)
-    assert alone.before("b", left_out["b"], FORECAST) is None  # a is lost: nothing is known
-    assert alone.before("c", run.held_out["c"], FORECAST).predicted
+    isolated = replace(sequence, tests={}, motions=left_out)
+    assert isolated.before("b", left_out["b"], FORECAST) is None  # a is lost: nothing is known
+    assert isolated.before("c", run.held_out["c"], FORECAST).predicted

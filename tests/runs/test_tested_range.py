@@ -53,11 +53,11 @@ def test_what_lies_outside_is_said():
         ((1.0, 0.5, 3.1), "actuation", True),
         ((1.0, 0.5, 0.2), "actuation", True),
     ):
-        found = left(*motion)
-        assert found[name].far is far
+        exceeded = left(*motion)
+        assert exceeded[name].far is far
         words = f"lies {'far outside' if far else 'outside'} the tested range"
-        assert words in found[name].sentence(US)
-        assert (name in extrapolation_messages(found.values(), US)) == far
+        assert words in exceeded[name].sentence(US)
+        assert (name in extrapolation_messages(exceeded.values(), US)) == far
 
 
 def test_what_lies_inside_is_not_said_and_how_many_times_is():
@@ -91,14 +91,14 @@ def quake(seconds=20.0):
 
 def test_a_motion_of_another_kind_is_said_and_has_no_properties_of_cycles(made_run, tmp_path):
     write_csv(tmp_path / "quake.csv", *quake())
-    for motion, other in ((("--motion", tmp_path / "quake.csv"), True), (("--sine", SINE), False)):
-        bands = tmp_path / f"{other}.csv"
+    for motion, uneven in ((("--motion", tmp_path / "quake.csv"), True), (("--sine", SINE), False)):
+        bands = tmp_path / f"{uneven}.csv"
         how = ("--actuation", "700 psi", "--no-figures", "--extrapolate")
         words = said("predict", made_run, *motion, *how, "-o", bands)
-        assert ("most strokes of this motion are partial" in words) == other
-        derived = (tmp_path / f"{other}_derived.csv").read_text()
+        assert ("most strokes of this motion are partial" in words) == uneven
+        derived = (tmp_path / f"{uneven}_derived.csv").read_text()
         for name in ("slip_fwd", "effective_stiffness", "energy_per_cycle"):
-            assert (name not in derived) == other
+            assert (name not in derived) == uneven
         assert "energy_in_all" in derived
         assert "peak_fwd" in derived
 

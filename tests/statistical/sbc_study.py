@@ -80,12 +80,12 @@ def run_test(study: Study, index: int, noise: str = TRUE) -> Ranked:
         draws = sample(posterior, study.effort, seed=(study.seed, index, 1))
     except MfdError as error:
         return Ranked({}, error=str(error))
-    found = draws.convergence
+    convergence = draws.convergence
     return Ranked(
         ranks=ranks_of(truth, posterior, draws, study.draws),
-        converged=found.reached(study.effort.r_hat, study.effort.ess),
-        ess=found.worst_ess,
-        r_hat=found.worst_r_hat,
+        converged=convergence.reached(study.effort.r_hat, study.effort.ess),
+        ess=convergence.worst_ess,
+        r_hat=convergence.worst_r_hat,
         steps=draws.chains.steps,
         seconds=draws.wall_time,
     )
@@ -115,12 +115,12 @@ def ranks_of(
     """
     flat = dict(draws.values) | {LIKELIHOOD: draws.log_likelihood}
     pick = np.linspace(0, draws.log_likelihood.size - 1, count).astype(np.intp)
-    drawn = with_derived({name: values.reshape(-1)[pick] for name, values in flat.items()})
+    subset = with_derived({name: values.reshape(-1)[pick] for name, values in flat.items()})
     likelihood = posterior.log_likelihood(posterior.coordinates(truth))
     true = with_derived(dict(truth) | {LIKELIHOOD: likelihood})
-    varied = {LIKELIHOOD, *(name for name in draws.values if np.ptp(drawn[name]) > 0)}
-    varied |= {name for name, parts in DERIVED.items() if varied.issuperset(parts)}
-    return {name: int(np.sum(drawn[name] < true[name])) for name in sorted(varied)}
+    varied = {LIKELIHOOD, *(name for name in draws.values if np.ptp(subset[name]) > 0)}
+    varied |= {name for name, terms in DERIVED.items() if varied.issuperset(terms)}
+    return {name: int(np.sum(subset[name] < true[name])) for name in sorted(varied)}
 
 
 def with_derived(values: Mapping[str, Array]) -> dict[str, Array]:

@@ -46,8 +46,8 @@ def make_posterior() -> Posterior:
     rng = np.random.default_rng(5)
     time = np.linspace(0.0, 4.0, 60)
     x = np.sin(2.0 * time) + 0.3 * np.sin(5.0 * time)
-    plain = Trace.from_arrays(time, x)
-    force = 0.3 * plain.velocity + 1.4 * x + 0.1 + NOISE * rng.standard_normal(time.size)
+    motion = Trace.from_arrays(time, x)
+    force = 0.3 * motion.velocity + 1.4 * x + 0.1 + NOISE * rng.standard_normal(time.size)
     return Posterior(Trace.from_arrays(time, x, force=force), PRIORS, "iid", Linear())
 
 
@@ -92,8 +92,8 @@ def test_log_evidence_agrees_with_the_closed_form(fitted) -> None:
     assert abs(evidence.value - exact) < min(0.02, 5.0 * evidence.error + 0.002)
     # the control: a prior of the spring that is five times as wide lowers it by nearly log 5
     wide = {**PRIORS.parameters, "k2": Prior("normal", {"mean": 1.0, "sd": 2.5})}
-    other = Posterior(trace, replace(PRIORS, parameters=wide), "iid", Linear())
-    lower = sample(other, Effort(ess=800, limit=3000), seed=4).log_evidence()
+    vague = Posterior(trace, replace(PRIORS, parameters=wide), "iid", Linear())
+    lower = sample(vague, Effort(ess=800, limit=3000), seed=4).log_evidence()
     assert exact - lower.value > 0.5
     # and draws of another density are not a bridge to this one
     assert not replace(draws, q=draws.q + 5.0).log_evidence().trusted

@@ -32,7 +32,7 @@ def density(q):
 
 
 def modes_at(*places):
-    return tuple(maximize(density, np.full(DIM, place), np.ones(DIM)) for place in places)
+    return tuple(maximize(density, np.full(DIM, position), np.ones(DIM)) for position in places)
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +57,8 @@ def test_each_mode_has_its_own_width(chains):
 
 def test_an_ensemble_that_is_stuck_is_seen(chains):
     stuck = chains.q[..., 0].copy()
-    home = stuck[0][stuck[0] < APART / 2]
-    stuck[0] = np.resize(home, stuck.shape[1])  # one never left the main mode, three mix
+    mode = stuck[0][stuck[0] < APART / 2]
+    stuck[0] = np.resize(mode, stuck.shape[1])  # one never left the main mode, three mix
     assert measure_draws(chains.q[..., 0], chains.walkers).worst_r_hat < MANY.r_hat
     assert measure_draws(stuck, chains.walkers).worst_r_hat > MANY.r_hat
 
@@ -73,8 +73,8 @@ def gap_record():
     """A synthetic test with a gap, and noise that is correlated."""
     rng = np.random.default_rng(3)
     time = np.arange(0.0, 12.0, 0.04)
-    plain = Trace.from_arrays(time, np.sin(2 * np.pi * 0.25 * time))
-    blank = Trace.from_arrays(time, plain.displacement, force=np.zeros(time.size))
+    motion = Trace.from_arrays(time, np.sin(2 * np.pi * 0.25 * time))
+    blank = Trace.from_arrays(time, motion.displacement, force=np.zeros(time.size))
     source = Posterior(blank, "mfd")
     truth = {
         "sigma0": 30.0, "sigma1": 0.02, "sigma2": 0.01, "Fc_fwd": 1.1, "Fc_bwd": 1.4,
@@ -84,7 +84,7 @@ def gap_record():
     }  # fmt: skip
     values = {name: np.array([value]) for name, value in truth.items()}
     force = source.force(values) + values["offset"] + source.noise.draw(rng, time, values)
-    return Trace.from_arrays(time, plain.displacement, force=force[0])
+    return Trace.from_arrays(time, motion.displacement, force=force[0])
 
 
 def checks(model, noise):
@@ -92,18 +92,18 @@ def checks(model, noise):
     draws = sample(posterior, SHORT, seed=2)
     values = {name: value.reshape(-1) for name, value in draws.values.items()}
     replicas = replicate(posterior, values, np.random.default_rng(0))
-    found = check_predictive(posterior, replicas, 0.16)
-    return {check.name: check for check in found}
+    results = check_predictive(posterior, replicas, 0.16)
+    return {check.name: check for check in results}
 
 
-def extremes(found):
-    return {n for n, c in found.items() if not EXTREME <= c.p_value <= 1.0 - EXTREME}
+def extremes(results):
+    return {n for n, c in results.items() if not EXTREME <= c.p_value <= 1.0 - EXTREME}
 
 
 def test_the_model_that_made_the_record_passes():
-    found = checks("three_stage", "ou")
-    assert extremes(found) == set()
-    names = " ".join(found)
+    results = checks("three_stage", "ou")
+    assert extremes(results) == set()
+    names = " ".join(results)
     for statistic in ("residual rms", "lag-one", "mid-gap"):
         assert statistic in names
 
@@ -139,10 +139,10 @@ def test_noise_decides_slip_force_and_gap_where_the_model_cannot_follow(tmp_path
     task = Task("a", "a.nc", misfit_record(), *how, checks_noise=True)
     assert not task.run(tmp_path, lambda _: None).error
     stored = load_test(tmp_path / "a.nc")
-    own, decided = quantiles_of(task.posterior(), stored.values()), {}
+    quantiles, decided = quantiles_of(task.posterior(), stored.values()), {}
     for fit in stored.facts["other_noises"]:
         assert not fit["error"]
-        moved = {name for name in own if moves(own[name], fit["quantities"][name])}
+        moved = {name for name in quantiles if moves(quantiles[name], fit["quantities"][name])}
         decided[fit["noise"]] = moved
     assert {"Fc_fwd", "Fc_bwd"} <= decided["staged"]
     assert {"Fc_fwd", "Fc_bwd", "k3", "gap"} <= decided["iid"]

@@ -37,9 +37,9 @@ def ranks() -> dict[str, dict[str, list[int]]]:
 
 @pytest.mark.slow
 def test_truths_are_ranked_evenly(ranks):
-    found = ranks[sbc.TRUE]
-    assert {*SAMPLED, sbc.LIKELIHOOD} == set(found)
-    assert uniform.failures(found, uniform.Uniformity(TESTS, DRAWS)) == {}  # familywise 1 %
+    true_ranks = ranks[sbc.TRUE]
+    assert {*SAMPLED, sbc.LIKELIHOOD} == set(true_ranks)
+    assert uniform.failures(true_ranks, uniform.Uniformity(TESTS, DRAWS)) == {}  # familywise 1 %
 
 
 @pytest.mark.slow
@@ -59,9 +59,9 @@ def test_truths_of_all_parameters_are_inside_their_intervals():
         draws=79,
         seed=17,
     )
-    found = sbc.ranks_by_quantity([sbc.run_test(study, i) for i in range(12)])
+    ranks_by_name = sbc.ranks_by_quantity([sbc.run_test(study, i) for i in range(12)])
     watched = ("Fc_fwd", "Fc_bwd", "k3", "d2", "ell", "noise_sd")
-    share = (np.array([found[name] for name in watched]) + 0.5) / 80.0
+    share = (np.array([ranks_by_name[name] for name in watched]) + 0.5) / 80.0
     # 72 trials at 0.8: mean 57.6; three and a half standard deviations of a binomial leave 45.7 to
     # 69.5, and some tests are correlated within
     assert 45 <= np.sum(np.abs(share - 0.5) <= 0.4) <= 70
@@ -72,7 +72,7 @@ def test_truths_of_all_parameters_are_inside_their_intervals():
 def test_uniform_ranks_fail_as_rarely_as_stated():
     uniformity = uniform.Uniformity(60, DRAWS, 20_000)
     rng = np.random.default_rng(1)
-    found = [uniformity.p_value(rng.integers(0, DRAWS + 1, 60)) for _ in range(2000)]
+    p_values = [uniformity.p_value(rng.integers(0, DRAWS + 1, 60)) for _ in range(2000)]
     for level in (0.05, 0.2):
-        share = np.mean(np.array(found) < level)
+        share = np.mean(np.array(p_values) < level)
         assert abs(share - level) < 4.0 * np.sqrt(level * (1 - level) / 2000)

@@ -28,17 +28,17 @@ class Uniformity:
         self.tests = tests
         self.z = np.arange(1, draws + 1) / (draws + 1)
         counts = np.arange(tests + 1)[:, None]
-        below = stats.binom.cdf(counts, tests, self.z)
-        above = stats.binom.sf(counts - 1, tests, self.z)
-        self._tails = 2.0 * np.minimum(below, above)  # by count and k
+        lower_tail = stats.binom.cdf(counts, tests, self.z)
+        upper_tail = stats.binom.sf(counts - 1, tests, self.z)
+        self._tails = 2.0 * np.minimum(lower_tail, upper_tail)  # by count and k
         rng = np.random.default_rng(0)
         bins = rng.multinomial(tests, np.full(draws + 1, 1.0 / (draws + 1)), simulations)
         self._null = np.sort(self._statistic(np.cumsum(bins, axis=1)[:, :-1]))
 
     def p_value(self, ranks: Sequence[int]) -> float:
         """Probability that uniform ranks deviate at least as far as these."""
-        found = self._statistic(self.counts(ranks)[None])[0]
-        strays = np.searchsorted(self._null, found * (1.0 + 1e-9), side="right")
+        statistic = self._statistic(self.counts(ranks)[None])[0]
+        strays = np.searchsorted(self._null, statistic * (1.0 + 1e-9), side="right")
         return float((1 + strays) / (1 + self._null.size))
 
     def deviation(self, ranks: Sequence[int]) -> Array:
@@ -48,10 +48,10 @@ class Uniformity:
     def band(self, level: float) -> tuple[Array, Array]:
         """Least and greatest deviation whose p-value is above `level`, (L,) each."""
         rank = int(np.ceil(level * (self._null.size + 1))) - 2
-        inside = self._tails > self._null[max(rank, 0)] * (1.0 - 1e-9)
-        least = np.argmax(inside, axis=0)
-        greatest = self.tests - np.argmax(inside[::-1], axis=0)
-        return least / self.tests - self.z, greatest / self.tests - self.z
+        accepted = self._tails > self._null[max(rank, 0)] * (1.0 - 1e-9)
+        smallest = np.argmax(accepted, axis=0)
+        greatest = self.tests - np.argmax(accepted[::-1], axis=0)
+        return smallest / self.tests - self.z, greatest / self.tests - self.z
 
     def counts(self, ranks: Sequence[int]) -> NDArray[np.intp]:
         """Number of ranks up to k, for k below L, (L,)."""
@@ -63,5 +63,5 @@ class Uniformity:
 
 def failures(ranks: Mapping[str, Sequence[int]], uniformity: Uniformity) -> dict[str, float]:
     """p-values of the quantities that are not uniform, familywise at `LEVEL` by Bonferroni."""
-    found = {name: uniformity.p_value(values) for name, values in ranks.items()}
-    return {name: p for name, p in found.items() if p < LEVEL / len(found)}
+    p_values = {name: uniformity.p_value(values) for name, values in ranks.items()}
+    return {name: p for name, p in p_values.items() if p < LEVEL / len(p_values)}

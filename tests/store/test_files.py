@@ -31,11 +31,11 @@ def test_a_write_that_fails_leaves_the_old_file_and_no_part(tmp_path, monkeypatc
 
 def test_folders_are_made_and_files_keep_the_umask(tmp_path):
     path = tmp_path / "a" / "b" / "x.bin"
-    before = os.umask(0o077)
+    umask = os.umask(0o077)
     try:
         write_bytes(path, b"\x00\xff")
     finally:
-        os.umask(before)
+        os.umask(umask)
     assert path.read_bytes() == b"\x00\xff"
     assert path.stat().st_mode & 0o777 == 0o600
     assert path.parent.stat().st_mode & 0o777 == 0o700
@@ -44,8 +44,8 @@ def test_folders_are_made_and_files_keep_the_umask(tmp_path):
 def test_json_is_valid_though_a_figure_is_not_finite(tmp_path):
     path = tmp_path / "manifest.json"
     numbers = {"inf": [np.inf, np.nan, 1.5], "f": np.float32("nan"), "i": np.int64(3)}
-    others = {"t": (1, np.bool_(True)), "path": tmp_path, 4: None, "µ": "Größe \U0001f600"}
-    write_json(path, numbers | others)
+    objects = {"t": (1, np.bool_(True)), "path": tmp_path, 4: None, "µ": "Größe \U0001f600"}
+    write_json(path, numbers | objects)
     expected = {"inf": [None, None, 1.5], "f": None, "i": 3, "t": [1, True]}
     expected |= {"path": str(tmp_path), "4": None, "µ": "Größe \U0001f600"}
     assert json.loads(path.read_text(), parse_constant=pytest.fail) == read_json(path) == expected

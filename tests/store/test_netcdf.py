@@ -89,14 +89,14 @@ READERS = (load_test, load_trace, load_arrays)
 
 
 def test_a_file_that_is_no_netcdf_or_of_another_program_is_named(tmp_path):
-    whole = save(tmp_path / "whole.nc").read_bytes()
+    valid = save(tmp_path / "whole.nc").read_bytes()
     path = tmp_path / "posterior.nc"
     for group in ("posterior", "sample_stats", "observed_data", "constant_data"):
         data = xr.Dataset({"mu": (("chain", "draw"), np.zeros((2, 3)))})
         data.to_netcdf(path, mode="a", group=group, engine="h5netcdf")
-    others = path.read_bytes()
+    foreign = path.read_bytes()
     path.unlink()
-    for content in (None, others, b"", b"time,force\n0,1\n", whole[: len(whole) // 2], whole[:-9]):
+    for content in (None, foreign, b"", b"time,force\n0,1\n", valid[: len(valid) // 2], valid[:-9]):
         if content is not None:
             path.write_bytes(content)
         for read in (load_test, load_trace, load_arrays):
