@@ -36,7 +36,7 @@ from mfd_bayes.pipeline.calibrate import calibrate
 from mfd_bayes.pipeline.options import RunOptions
 from mfd_bayes.pipeline.plan import plan_campaign
 from mfd_bayes.population.inference import infer_population
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run, sequence_of
 from tests.statistical.uniformity import LEVEL, Uniformity, failures
 
 PROJECT = Path(__file__).parents[1]
@@ -202,7 +202,7 @@ def without(run: Run, names: Collection[str], effort: str, seed: tuple[int, ...]
         return {quantity: draws.reshape(-1) for quantity, draws in values.items()}
 
     vars(reduced)["population"] = inference.population  # instead of the one that is stored
-    vars(reduced)["sequence"] = replace(reduced.sequence, pooled=pooled)
+    vars(reduced)["_sequence"] = replace(sequence_of(reduced), pooled=pooled)
     return reduced
 
 

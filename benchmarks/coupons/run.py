@@ -23,6 +23,7 @@ from scipy.stats import norm
 import mfd_bayes as mb
 from mfd_bayes.applications.comparison.crossvalidation import Fold, run_folds
 from mfd_bayes.pipeline.options import RunOptions
+from mfd_bayes.runs.run import sequence_of
 
 QUOFEM = {
     # parameter: mean and sd between coupons in the state of its chain that quoFEM's example 28
@@ -133,7 +134,7 @@ def main() -> None:
         "\nbetween coupons, jointly: ours, mean and sd   quoFEM, mean and sd   moved by, prior sds"
     )
     for name, (middle, sd, start, prior) in QUOFEM.items():
-        medians = [np.median(run.sequence.values(test)[name]) for test in run.tests]
+        medians = [np.median(sequence_of(run).values(test)[name]) for test in run.tests]
         fitted = np.mean(medians), np.std(medians, ddof=1)
         print(f"{name:12} {fitted[0]:14.5g} {fitted[1]:10.3g} {middle:14.5g} {sd:10.3g}"
               f"{(fitted[0] - start) / prior:12.1f} {(middle - start) / prior:6.1f}")  # fmt: skip

@@ -172,9 +172,9 @@ def given(runs: list[mb.Run], draws: int) -> None:
         for name, trace in runs[0].held_out.items():
             begin, mask = QUAKES[name][0], scored(name, trace)
             for window in (None, (float(trace.time[0]), begin)):
-                band = source.predict(trace, "observation", draws=draws, given=window)
+                band = source.predict(trace, "observation", draws=draws, condition_on=window)
                 draws_scored, force = band.draws[:, mask], np.asarray(trace.force)[mask]
-                words = f"given {begin:g} s by {band.given.method}" if window else "alone"
+                words = f"given {begin:g} s by {band.conditioning.method}" if window else "alone"
                 of_mean = rrse(draws_scored.mean(axis=0), force)
                 rows.append(row(name, score(draws_scored, force), of_mean=of_mean, how=words))
         table(f"Model {model}", rows)

@@ -232,7 +232,7 @@ def _stored_of(
     )
 
 
-class Extras(Protocol):
+class PlottingBackend(Protocol):
     """Pictures and ArviZ data of results."""
 
     def plot_band(self, band: Any, axes: Any, displacement: Any) -> Any:
@@ -245,11 +245,11 @@ class Extras(Protocol):
         """Data of a calibrated test or of a band that ArviZ's functions take."""
 
 
-def needed(extras: Extras | None) -> Extras:
-    """The extras of a result that came from `mfd_bayes.open_run`."""
-    if extras is None:
+def needed(backend: PlottingBackend | None) -> PlottingBackend:
+    """The backend of a result that came from `mfd_bayes.open_run`."""
+    if backend is None:
         raise FitError("this needs a result of a run that mfd_bayes.open_run has opened")
-    return extras
+    return backend
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,11 +264,11 @@ class TestResult:
     sha256: str = ""  # of that file, where it is known
     # median and equal-tailed 95 % interval of every quantity: 50, 2.5 and 97.5 %
     intervals: Mapping[str, Interval] = field(default_factory=dict, repr=False)
-    extras: Extras | None = field(default=None, repr=False)
+    _backend: PlottingBackend | None = field(default=None, repr=False)
 
     def plot_loops(self, axes: Any = None) -> Any:
         """Matplotlib axes with the measured loops over the bands of a measurement."""
-        return needed(self.extras).plot_loops(self, axes)
+        return needed(self._backend).plot_loops(self, axes)
 
     def to_inference_data(self) -> Any:
         """What ArviZ's functions take: InferenceData, or a DataTree from ArviZ 1 on.
@@ -276,7 +276,7 @@ class TestResult:
         Its groups are those of `posterior.nc`, and `log_likelihood`: the log density of each cycle
         given all others, by which `az.loo` leaves out whole cycles. That takes some seconds.
         """
-        return needed(self.extras).to_inference_data(self)
+        return needed(self._backend).to_inference_data(self)
 
     def __repr__(self) -> str:
         trace = self.posterior.trace

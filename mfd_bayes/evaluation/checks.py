@@ -45,7 +45,7 @@ from mfd_bayes.population.bands import PredictionOptions
 from mfd_bayes.population.design import TestConditions
 from mfd_bayes.records.loops import MeasuredCycles
 from mfd_bayes.runs.manifest import CheckStatus, Finding
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run, sequence_of
 
 Array = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ which a further mode is not spoken of."""
 
 _FEATURES = {
     "energy_per_cycle": ("energy per cycle", PREDICTIVE),
-    "energy_in_all": ("energy in all", PREDICTIVE),
+    "total_energy": ("energy in all", PREDICTIVE),
     "peak_fwd": ("peak force forward", PREDICTIVE),
     "peak_bwd": ("peak force backward", PREDICTIVE),
     "slip_fwd": ("slip force forward", LOOP_ESTIMATE),
@@ -137,7 +137,7 @@ def predictive_checks(
         values, value = properties[name][np.isfinite(properties[name])], observed[name]
         if not values.size or not np.isfinite(value):
             continue
-        if name == "energy_in_all" and measured.full_stroke.all() and measured.full_stroke.size:
+        if name == "total_energy" and measured.full_stroke.all() and measured.full_stroke.size:
             continue  # it says the same as the energy of a cycle
         expected = float(values.mean())
         difference = (expected - value) / max(abs(value), 1e-12)
@@ -474,8 +474,8 @@ def contradicted_order(run: Run) -> list[Finding]:
         if test is None or predecessor not in run.tests or "start" not in test.posterior.names:
             continue
         model, trace = test.posterior.model, test.trace
-        ending = run.sequence.before(name, trace, PredictionOptions(draws=START_DRAWS))
-        values = run.sequence.values(name)
+        ending = sequence_of(run).before(name, trace, PredictionOptions(draws=START_DRAWS))
+        values = sequence_of(run).values(name)
         starts, theta = values["start"], model.theta(values)
         expected = starts if ending is None else ending.starts(model, theta, trace, 0)
         # the place of a start is the start of a place: both count along the first direction

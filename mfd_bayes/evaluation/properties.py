@@ -39,7 +39,7 @@ UNITS: Mapping[str, str] = {
     **dict.fromkeys(("slip_fwd", "slip_bwd", "peak_fwd", "peak_bwd"), "kip"),
     "effective_stiffness": "kip/in",
     "effective_damping": "1",
-    **dict.fromkeys(("energy_per_cycle", "energy_of_ramps", "energy_in_all"), "kip*in"),
+    **dict.fromkeys(("energy_per_cycle", "energy_of_ramps", "total_energy"), "kip*in"),
     "c_eq": "kip*s/in",
     "build_up_slope": "kip/in",
     **dict.fromkeys(("gap", "slip_to_slip"), "in"),
@@ -78,7 +78,7 @@ def measured_properties(cycles: MeasuredCycles) -> dict[str, float]:
     return {name: estimates[name] for name in (*_OF_CYCLES, "peak_fwd", "peak_bwd")} | {
         "energy_per_cycle": estimates["energy"],
         "energy_of_ramps": float(ramps.mean()) if ramps.size else float("nan"),
-        "energy_in_all": cycles.total_energy,
+        "total_energy": cycles.total_energy,
     }
 
 
@@ -104,7 +104,7 @@ def properties_of(
     properties = {name: mean_of(values[name], full) for name in _OF_CYCLES}
     properties["energy_per_cycle"] = mean_of(values["energy"], full)
     properties["energy_of_ramps"] = mean_of(values["energy"], ~full)
-    properties["energy_in_all"] = np.asarray(np.trapezoid(force, trace.displacement, axis=1))
+    properties["total_energy"] = np.asarray(np.trapezoid(force, trace.displacement, axis=1))
     if partial_strokes(trace) > PARTIAL:  # what a cycle at full stroke has, such a motion has not
         of_cycles = (*_OF_CYCLES, "energy_per_cycle", "energy_of_ramps")
         properties |= {name: np.full(len(force), np.nan) for name in of_cycles}
@@ -157,8 +157,8 @@ def predicted_rows(
     """
     test = band
     if band.kind == "observation":
-        window = band.given.window if band.given else None
-        how: dict[str, Any] = {"given": window, "after": previous, "draws": len(band.draws)}
+        window = band.conditioning.window if band.conditioning else None
+        how: dict[str, Any] = {"condition_on": window, "after": previous, "draws": len(band.draws)}
         how |= {"session": session} | ({"device": device} if device else {})
         test = source.predict(given_trace or trace, "new_test", band.probability, **how)
     if isinstance(source, ModelAverage):

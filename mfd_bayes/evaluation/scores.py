@@ -28,7 +28,7 @@ class Interval:
     probability: float
     lower: Array
     upper: Array
-    whole: bool = False
+    simultaneous: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +70,8 @@ def fan_of(kind: str, draws: Array) -> QuantileBand:
 def fan_of_band(band: Band) -> QuantileBand:
     """Median and bounds of a prediction, with those of the whole history if it has them."""
     intervals = [Interval(band.probability, band.lower, band.upper)]
-    if band.shows_whole:
-        intervals.append(Interval(band.probability, *band.whole, whole=True))
+    if band.shows_simultaneous:
+        intervals.append(Interval(band.probability, *band.simultaneous, simultaneous=True))
     return QuantileBand(band.kind, band.median, tuple(intervals))
 
 

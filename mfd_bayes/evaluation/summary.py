@@ -68,7 +68,7 @@ from mfd_bayes.population.design import Design
 from mfd_bayes.population.peaks import SIDES
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import CampaignCrossValidation, CheckStatus, Finding, Fitness, Manifest
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run, prediction_conditions, sequence_of
 from mfd_bayes.runs.unit_system import SI, both_systems
 
 MAX_PLOTTED_DRAWS = 2000
@@ -147,7 +147,7 @@ def views_of_tests(run: Run, jobs: int = 1) -> tuple[list[TestView], dict[str, s
     make = partial(_attempt, partial(calibrated_view, run.manifest))
     views = [make] * len(run.tests)
     # each test is sent by itself: the records of all need not be held in every process
-    tests = enumerate(replace(test, extras=None) for test in run.tests.values())
+    tests = enumerate(replace(test, _backend=None) for test in run.tests.values())
     with several_processes(views, jobs) as evaluate:
         outcomes = dict(zip(run.tests, evaluate(tests), strict=True))
     for name, trace in run.held_out.items():
@@ -300,8 +300,8 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
 
 def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     """A test that was predicted from the others."""
-    how: dict[str, Any] = {"draws": HELD_OUT_DRAWS, **run.place(name)}
-    ending = run.sequence.before(name, trace, PredictionOptions(**how))
+    how: dict[str, Any] = {"draws": HELD_OUT_DRAWS, **prediction_conditions(run, name)}
+    ending = sequence_of(run).before(name, trace, PredictionOptions(**how))
     how["after"] = ending or ""
     band = run.predict(trace, "observation", **how)
     properties = device_properties(run, trace, band, run.predict(trace, "new_test", **how))
@@ -364,9 +364,9 @@ def with_joint(run: Run, view: TestView) -> TestView:
 
     Alone and together disagree where the intervals do not overlap.
     """
-    if not view.rows or not run.sequence.pooled(view.id):
+    if not view.rows or not sequence_of(run).pooled(view.id):
         return view
-    values, model = run.sequence.values(view.id), run.tests[view.id].posterior.model
+    values, model = sequence_of(run).values(view.id), run.tests[view.id].posterior.model
     joint = {**values} | dict(zip(model.parameters, model.theta(values).T, strict=True))
     rows = []
     for row in view.rows:
@@ -748,12 +748,16 @@ def left_out_view(scores: CampaignCrossValidation | None) -> LeftOutView | None:
             | {"fitted_width": fitted.width, "fitted_crps": fitted.crps}
             | {"width_ratio": held_out.width / fitted.width if fitted.width > 0 else np.nan}
             | {"crps_ratio": held_out.crps / fitted.crps if fitted.crps > 0 else np.nan}
-            | {"whole_95": np.nan if prediction.whole is None else float(prediction.whole)}
+            | {
+                "simultaneous_95": np.nan
+                if prediction.simultaneous is None
+                else float(prediction.simultaneous)
+            }
         )
     names = [name for name in rows[0] if name not in ("part", "test")]
     mean = {name: float(np.mean([row[name] for row in rows])) for name in names}
     sources = "the others" if scores.by == "test" else f"those of the other {scores.by}s"
-    is_covered = [row["whole_95"] for row in rows]
+    is_covered = [row["simultaneous_95"] for row in rows]
     history = (
         " The 95 % bands of whole histories hold the whole force of "
         f"{sum(is_covered):.0f} of {len(is_covered)} tests."

@@ -38,7 +38,7 @@ from mfd_bayes.runs.manifest import (
     CampaignCrossValidation,
     Comparison,
 )
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run, rewrite_manifest
 from mfd_bayes.store.files import write_text
 
 
@@ -75,7 +75,7 @@ def leave_out_parts(run: Run, by: str, options: RunOptions, observe: Observe) ->
     kind = part_kind(by)
     try:
         predictions = run_folds(run, folds_of(run, kind, options.effort), options, observe)
-        return run.rewrite(crossvalidation=CampaignCrossValidation(kind, predictions))
+        return rewrite_manifest(run, crossvalidation=CampaignCrossValidation(kind, predictions))
     finally:
         remove_partial_files(run.folder)
 
@@ -114,7 +114,7 @@ def compare(
         observe(Step("comparison", JobState.DONE))
         views = {}
         for model, run in runs.items():
-            run = run.rewrite(comparison=comparison)
+            run = rewrite_manifest(run, comparison=comparison)
             views[model] = write_report(run, _observer_of(model, observe), jobs=options.jobs)
     return comparison, views
 

@@ -24,7 +24,7 @@ from mfd_bayes.runs.manifest import (
     CheckStatus,
     read_manifest,
 )
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.run import Run, open_run, rewrite_manifest
 from mfd_bayes.runs.unit_system import SI, named_system
 
 # --- the report of a run, its checks and the table of its draws
@@ -68,7 +68,7 @@ def write_report(
         observe(Step("report", "which test next"))
         advice = AdviceInWords(next_test(run), view.system, view.actuation_unit)
         additions = [advice.section()]
-    run = run.rewrite(verdicts=verdicts(view), warnings=view.warnings)
+    run = rewrite_manifest(run, verdicts=verdicts(view), warnings=view.warnings)
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
     observe(Step("report", "data sheet"))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.calibration.noises import Noise
 from mfd_bayes.calibration.priors import RANGE
-from mfd_bayes.calibration.result import Extras, needed
+from mfd_bayes.calibration.result import PlottingBackend, needed
 from mfd_bayes.errors import MOST_DRAWS, FitError, real_number, whole_number
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import Design, TestConditions, setting_of
@@ -52,7 +52,7 @@ class PredictionOptions:
     draws: int = DRAWS
     seed: int = 0
     session: str = ""  # of the predicted test, where the campaign declares sessions
-    whole: bool = False  # whether the band of the whole history is shown too
+    simultaneous: bool = False  # whether the band of the whole history is shown too
     before: FinalState | None = field(default=None, repr=False, compare=False)  # without a reset
     device: str = ""  # likewise, where it declares devices
     conditions: Mapping[str, float] = field(default_factory=dict)  # of `design.CONDITIONS`
@@ -66,7 +66,7 @@ class PredictionOptions:
         for name in ("session", "device"):
             if not isinstance(getattr(self, name), str):
                 raise FitError(f"{name} must be text, got {getattr(self, name)!r}")
-        check_flag("whole", self.whole)
+        check_flag("simultaneous", self.simultaneous)
 
     def setting(self, trace: Trace) -> TestConditions:
         """Setting of the predicted test under a motion."""
@@ -106,9 +106,9 @@ class Band:
         Quantities of each draw, by name.
     remarks : tuple of str
         Reasons to trust it less, in sentences.
-    shows_whole : bool
-        Whether tables and pictures show `whole` too.
-    given : Conditioned, or None
+    shows_simultaneous : bool
+        Whether tables and pictures show `simultaneous` too.
+    conditioning : ConditioningSummary, or None
         The part of the record that was known, where there is one.
     """
 
@@ -122,10 +122,10 @@ class Band:
     source: str
     values: Mapping[str, Array] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
-    shows_whole: bool = False
+    shows_simultaneous: bool = False
     explain: Callable[[], Mapping[str, float]] | None = field(default=None, repr=False)
-    extras: Extras | None = field(default=None, repr=False)
-    given: Any = None
+    _backend: PlottingBackend | None = field(default=None, repr=False)
+    conditioning: Any = None
     interval: ClassVar[str] = "equal-tailed"
 
     def __post_init__(self) -> None:
@@ -147,10 +147,12 @@ class Band:
         tail = 0.5 * (1.0 - forecast.probability)
         lower, median, upper = np.quantile(draws, [tail, 0.5, 1.0 - tail], axis=0)
         about_band = forecast.kind, forecast.probability, source, values or {}
-        return cls(time, lower, median, upper, draws, *about_band, shows_whole=forecast.whole)
+        return cls(
+            time, lower, median, upper, draws, *about_band, shows_simultaneous=forecast.simultaneous
+        )
 
     @cached_property
-    def whole(self) -> tuple[Array, Array]:
+    def simultaneous(self) -> tuple[Array, Array]:
         """Lower and upper bound, (T,) each, kip, that hold the whole history of most of the draws.
 
         The share of the draws is the band's probability.
@@ -174,7 +176,7 @@ class Band:
         FitError
             When the band does not come from a run of `mfd_bayes.open_run`.
         """
-        return needed(self.extras).plot_band(self, axes, displacement)
+        return needed(self._backend).plot_band(self, axes, displacement)
 
     def to_inference_data(self) -> Any:
         """The draws as ArviZ takes them: group `predictions`, variable `force`, kip.
@@ -184,7 +186,7 @@ class Band:
         FitError
             When the band does not come from a run of `mfd_bayes.open_run`.
         """
-        return needed(self.extras).to_inference_data(self)
+        return needed(self._backend).to_inference_data(self)
 
     def __repr__(self) -> str:
         width = float(np.mean(self.upper - self.lower))

@@ -322,8 +322,8 @@ def check_kind(forecast: PredictionOptions) -> None:
     """Refuse kinds of which a given part says nothing."""
     if forecast.kind not in ALLOWED:
         raise FitError(
-            f"given is for the kinds {' and '.join(ALLOWED)}, not for {forecast.kind}: a first "
-            "part shows the force of one new test"
+            f"condition_on is for the kinds {' and '.join(ALLOWED)}, not for {forecast.kind}: a "
+            "first part shows the force of one new test"
         )
 
 
@@ -353,7 +353,7 @@ def predict_given(
     rng, n = np.random.default_rng(forecast.seed), forecast.draws
     test = PartialTest(predictor, setting, population.grid_of(trace), trace)
     p, log_weights, summary = test.condition(motion, counted, max(PARTICLES, n), rng)
-    summary = replace(summary, window=checked_window(window, "given", FitError))
+    summary = replace(summary, window=checked_window(window, "condition_on", FitError))
     return given_band(test, p.of(systematic(log_weights, n, rng)), trace, forecast, summary, rng)
 
 
@@ -371,7 +371,7 @@ def given_band(
     draws = replace(test.sample_conditional(p, trace), knots=knots)
     source = f"population laws with scatter, and {summary.sentence}"
     band = test.predictor.to_band(trace, forecast, draws, rng, source, slice(-samples, None))
-    return replace(band, given=summary, remarks=(*band.remarks, *summary.remarks))
+    return replace(band, conditioning=summary, remarks=(*band.remarks, *summary.remarks))
 
 
 def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[Trace, Mask]:
@@ -379,10 +379,10 @@ def given_part(trace: Trace, window: tuple[float, float], step: float) -> tuple[
 
     It goes on to the second turn, so that its first direction is known.
     """
-    begin, end = checked_window(window, "given", FitError)
+    begin, end = checked_window(window, "condition_on", FitError)
     words = f"from {begin:g} s to {end:g} s"
     if trace.force is None:
-        raise FitError(f"the trace has no force: given {words} needs the force measured there")
+        raise FitError(f"the trace has no force: condition_on {words} needs the force there")
     begin_time, end_time = float(trace.time[0]), float(trace.time[-1])
     if begin < begin_time - step or end > end_time + step:
         raise FitError(

@@ -140,15 +140,15 @@ def to_png(figure: Figure) -> bytes:
 def shades(fan: QuantileBand) -> Iterator[tuple[Interval, str]]:
     """Intervals of a fan, widest first, each with its colour."""
     wide, narrow, _ = BANDS[fan.kind]
-    ordered = sorted(fan.intervals, key=lambda i: (not i.whole, -i.probability))
+    ordered = sorted(fan.intervals, key=lambda i: (not i.simultaneous, -i.probability))
     for index, interval in enumerate(ordered):
         yield interval, wide if index == 0 else narrow
 
 
 def percents(fan: QuantileBand) -> str:
     """Probabilities of a fan's intervals: "50 and 95 %"."""
-    chances = sorted(i.probability for i in fan.intervals if not i.whole)
-    pale = "; pale: of the whole history" if any(i.whole for i in fan.intervals) else ""
+    chances = sorted(i.probability for i in fan.intervals if not i.simultaneous)
+    pale = "; pale: of the whole history" if any(i.simultaneous for i in fan.intervals) else ""
     return " and ".join(percent(chance) for chance in chances) + f" %{pale}"
 
 

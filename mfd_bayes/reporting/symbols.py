@@ -23,7 +23,7 @@ _SYMBOLS = {
     "alpha_sigma0": (r"\alpha_{\sigma0}", "bristle stiffness per actuation"),
     "energy_per_cycle": ("E", "energy dissipated in a cycle at full stroke, their mean"),
     "energy_of_ramps": (r"E_\mathrm{ramp}", "the same of smaller full cycles"),
-    "energy_in_all": (r"E_\mathrm{all}", "energy of the whole record"),
+    "total_energy": (r"E_\mathrm{all}", "energy of the whole record"),
     "effective_stiffness": (r"K_\mathrm{eff}", "effective stiffness"),
     "effective_damping": (r"\beta_\mathrm{eff}", "effective damping ratio"),
     "build_up_slope": (r"k_\mathrm{up}", "slope of the build-up"),

@@ -122,7 +122,7 @@ _COLUMNS = {
     "scores": f"test role {_SCORES}",
     "crossvalidation": (
         f"part test {_SCORES} fitted_width:fitted_width_95_kip "
-        "fitted_crps:fitted_crps_kip width_ratio crps_ratio whole_95"
+        "fitted_crps:fitted_crps_kip width_ratio crps_ratio simultaneous_95"
     ),
     "tested_range": "name:condition unit lowest:smallest highest:largest",
     "drift": (
@@ -419,7 +419,7 @@ _SCORE_ROWS = (
     ("CRPS", "crps", "kip"),
     ("ratio of the CRPS", "crps_ratio", "1"),
     ("error (RRSE)", "rrse", "1"),
-    ("whole history inside 95 %", "whole_95", "%"),
+    ("whole history inside 95 %", "simultaneous_95", "%"),
 )
 
 

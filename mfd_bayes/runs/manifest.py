@@ -256,7 +256,7 @@ class Prediction:
     """Of bands of kind "observation"."""
     fitted: Score
     """Of the test's own posterior."""
-    whole: bool | None = None
+    simultaneous: bool | None = None
     """Whether the whole force is inside the 95 % band of whole histories."""
 
 

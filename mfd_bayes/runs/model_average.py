@@ -80,15 +80,15 @@ class ModelAverage:
         draws: int = 500,
         seed: int = 0,
         session: str = "",
-        whole: bool = False,
-        given: tuple[float, float] | None = None,
+        simultaneous: bool = False,
+        condition_on: tuple[float, float] | None = None,
         after: str = "",
     ) -> Band:
         """Band of the force under any motion and actuation, by all models together.
 
         Parameters
         ----------
-        trace, kind, probability, seed, session, whole, given, after
+        trace, kind, probability, seed, session, simultaneous, given, after
             As in `Run.predict`; not of kind `this_test`.
         draws : int
             Of all models together, 10 or more for each.
@@ -108,19 +108,24 @@ class ModelAverage:
             raise FitError("an average of models predicts a new test, not the kind this_test")
         n = len(self.runs)
         whole_number(f"draws (of {n} runs together)", draws, FEWEST * n, FitError, MOST_DRAWS)
-        options: dict[str, Any] = {"seed": seed, "session": session, "given": given, "after": after}
+        options: dict[str, Any] = {
+            "seed": seed,
+            "session": session,
+            "condition_on": condition_on,
+            "after": after,
+        }
         bands = [
             run.predict(trace, kind, probability, draws=draws // n + (i < draws % n), **options)
             for i, run in enumerate(self.runs)
         ]
-        forecast = PredictionOptions(kind, probability, draws, seed, session, whole)
+        forecast = PredictionOptions(kind, probability, draws, seed, session, simultaneous)
         together = np.concatenate([band.draws for band in bands])
         remarks = dict.fromkeys(remark for band in bands for remark in band.remarks)
         return replace(
             Band.of(trace.time, together, forecast, self._source(bands)),
             remarks=(*remarks, *_disagreement(bands)),
-            given=_worst_given([band.given for band in bands if band.given]),
-            extras=self.runs[0].extras,
+            conditioning=_worst_given([band.conditioning for band in bands if band.conditioning]),
+            _backend=self.runs[0]._backend,
         )
 
     def _source(self, bands: Sequence[Band]) -> str:

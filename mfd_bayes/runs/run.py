@@ -12,7 +12,7 @@ import numpy as np
 
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.priors import PriorFile, load_priors
-from mfd_bayes.calibration.result import Extras, TestResult, load_result
+from mfd_bayes.calibration.result import PlottingBackend, TestResult, load_result
 from mfd_bayes.errors import (
     CampaignError,
     FitError,
@@ -65,7 +65,7 @@ PEAK_DRAWS = 100  # of each test's force, by which the excess of measured peaks 
 Item = TypeVar("Item")
 
 
-class ByName(Mapping[str, Item]):
+class LazyMapping(Mapping[str, Item]):
     """Items of a run by name, in their order; each is read when it is first asked for."""
 
     def __init__(self, label: str, names: Iterable[str], read: Callable[[str], Item]) -> None:
@@ -118,7 +118,7 @@ def open_run(folder: str | Path, *, trust: bool = False) -> Run:
     model = model_of(folder, manifest, trust=trust)
     stored = check_stored(folder, PRIORS, manifest.files).name
     priors = load_priors(stored, folder, model, of_others=True)
-    extras = Notebook(manifest.system)
+    backend = Notebook(manifest.system)
     calibrated = [name for name in manifest.fitted if manifest.tests[name].status == JobState.DONE]
     held_out = [name for name in manifest.tests if name not in manifest.fitted]
     if not calibrated:
@@ -126,10 +126,10 @@ def open_run(folder: str | Path, *, trust: bool = False) -> Run:
     for name in (*map(posterior_of, calibrated), *map(record_of, held_out)):
         if not (folder / name).is_file():
             raise StoreError(f"{folder / name} is missing from the run")
-    read_test = partial(_read_test, folder, manifest, priors, model, extras)
-    tests = ByName("calibrated test", calibrated, read_test)
-    traces = ByName("held-out test", held_out, partial(_read_trace, folder, manifest))
-    return Run(folder, manifest, priors, tests, traces, extras, trust=trust)
+    read_test = partial(_read_test, folder, manifest, priors, model, backend)
+    tests = LazyMapping("calibrated test", calibrated, read_test)
+    traces = LazyMapping("held-out test", held_out, partial(_read_trace, folder, manifest))
+    return Run(folder, manifest, priors, tests, traces, backend, trust=trust)
 
 
 def model_of(folder: Path, manifest: Manifest, *, trust: bool = False) -> Model:
@@ -157,12 +157,12 @@ def _read_test(
     manifest: Manifest,
     priors: PriorFile,
     model: Model,
-    extras: Extras | None,
+    backend: PlottingBackend | None,
     name: str,
 ) -> TestResult:
     file = posterior_of(name)
     result = load_result(name, check_stored(folder, file, manifest.files), priors, model)
-    return replace(result, sha256=manifest.files.get(file, ""), extras=extras)
+    return replace(result, sha256=manifest.files.get(file, ""), _backend=backend)
 
 
 def _read_trace(folder: Path, manifest: Manifest, name: str) -> Trace:
@@ -192,7 +192,7 @@ class Run:
     priors: PriorFile
     tests: Mapping[str, TestResult]
     held_out: Mapping[str, Trace]
-    extras: Extras | None = field(default=None, repr=False)
+    _backend: PlottingBackend | None = field(default=None, repr=False)
     units: str = ""
     conditions: Mapping[str, float] = field(default_factory=dict)
     trust: bool = field(default=False, repr=False)
@@ -210,24 +210,10 @@ class Run:
         path = check_stored(self.folder, POPULATION, self.manifest.files)
         return load_population(path, self.priors, self.model)
 
-    def rewrite(self, **updates: Any) -> Run:
-        """The run with changed keys in its manifest; the manifest is written."""
-        manifest = self.manifest.changed(**updates)
-        manifest.write(self.folder)
-        return replace(self, manifest=manifest)
-
     @cached_property
     def actuation_unit(self) -> str:
         """The internal unit of actuation, such as "ksi" or "kip"."""
         return self.manifest.settings.actuation_unit
-
-    def level_of(self, text: str, *, of: str = "--actuation") -> float:
-        """Level of an actuation such as "1000 psi", in `actuation_unit`, as the tests had it."""
-        level, unit = parse_actuation(text, of=of)
-        if unit != self.actuation_unit:
-            kind = actuation_kind(self.actuation_unit)
-            raise CampaignError(f"{of} {text!r} must be {kind}, as in the campaign")
-        return level
 
     @cached_property
     def system(self) -> UnitSystem:
@@ -248,29 +234,20 @@ class Run:
         unit = self.actuation_unit
         tested = self.tested
         if test:
-            entries = ByName("test", self.manifest.tests, self.manifest.tests.__getitem__)
+            entries = LazyMapping("test", self.manifest.tests, self.manifest.tests.__getitem__)
             tested = range_of([entries[test].conditions], unit)
         return extrapolations(tested, reach_of(trace, unit))
 
     def session(self, name: str) -> str:
         """Session of a test, "" where the campaign declares none; NotThereError without it."""
         sessions = self.manifest.settings.sessions
-        return ByName("test", sessions, sessions.__getitem__)[name]
+        return LazyMapping("test", sessions, sessions.__getitem__)[name]
 
     @cached_property
     def devices(self) -> tuple[str, ...]:
         """Devices of the calibrated tests, each once; "" of tests that declare none."""
         devices = self.manifest.settings.devices
         return tuple(dict.fromkeys(devices[name] for name in self.tests))
-
-    def place(self, name: str) -> dict[str, Any]:
-        """Session, device and conditions of a test, as `predict` takes them."""
-        settings = self.manifest.settings
-        return {
-            "session": self.session(name),
-            "device": settings.devices[name],
-            "conditions": settings.conditions[name],
-        }
 
     @cached_property
     def predictor(self) -> Predictor:
@@ -279,7 +256,7 @@ class Run:
         return Predictor(self.population, self.model, noise)
 
     @cached_property
-    def sequence(self) -> TestSequence:
+    def _sequence(self) -> TestSequence:
         """Which tests follow each other without a reset, and where they end."""
         pooled = partial(stored_pooled, self.folder, self.manifest, self.population)
         return TestSequence(self.manifest, self.tests, self.held_out, self.predictor, pooled)
@@ -304,8 +281,10 @@ class Run:
         """
         speeds, excesses, computed = [], [], []
         for name, test in self.tests.items():
-            motion, values = replace(test.trace, force=None), self.sequence.values(name)
-            forecast = PredictionOptions(THIS_TEST, draws=PEAK_DRAWS, **self.place(name))
+            motion, values = replace(test.trace, force=None), self._sequence.values(name)
+            forecast = PredictionOptions(
+                THIS_TEST, draws=PEAK_DRAWS, **prediction_conditions(self, name)
+            )
             force = self.predictor.repeat(motion, forecast, values).draws
             cycles = MeasuredCycles.from_content(self.manifest.tests[name].measured)
             offset = float(np.median(values["offset"]))
@@ -362,8 +341,8 @@ class Run:
         device: str = "",
         conditions: Mapping[str, float] | None = None,
         test: str = "",
-        whole: bool = False,
-        given: tuple[float, float] | None = None,
+        simultaneous: bool = False,
+        condition_on: tuple[float, float] | None = None,
         after: str | FinalState = "",
     ) -> Band:
         """Band of the force under any motion and actuation, tested or new.
@@ -390,9 +369,9 @@ class Run:
             "temperature" in °C.
         test : str
             Id of the calibrated test, for the kind `this_test`.
-        whole : bool
-            Whether its table and picture show `Band.whole` too.
-        given : (float, float), s, optional
+        simultaneous : bool
+            Whether its table and picture show `Band.simultaneous` too.
+        condition_on : (float, float), s, optional
             Window of the record in which the trace's force is known: the band of all the record,
             given that part, for the kinds `new_test` and `observation`.
         after : str, optional
@@ -411,22 +390,22 @@ class Run:
         """
         check_trace("trace", trace, FitError)
         if not self.manifest.axes.actuated:
-            trace = replace(trace, actuation=self.level_of(NO_ACTUATION))
-        if given is not None and (test or after):
+            trace = replace(trace, actuation=actuation_level(self, NO_ACTUATION))
+        if condition_on is not None and (test or after):
             conflict = f"a calibrated test ({test!r})" if test else f"after ({after!r})"
             raise FitError(
-                f"given cannot be combined with {conflict}: the given part is of one new test, and "
-                "shows itself where in its gap the device stands"
+                f"condition_on cannot be combined with {conflict}: the part it names is of one new "
+                "test, and shows itself where in its gap the device stands"
             )
         forecast = PredictionOptions(
-            *(kind, probability, draws, seed, session, whole),
+            *(kind, probability, draws, seed, session, simultaneous),
             device=device,
             conditions={**self.conditions, **(conditions or {})},
         )
         if after:
-            forecast = self.sequence.begun(forecast, trace, after)
-        if given is not None:
-            band = predict_given(self.predictor, trace, forecast, given)
+            forecast = self._sequence.begun(forecast, trace, after)
+        if condition_on is not None:
+            band = predict_given(self.predictor, trace, forecast, condition_on)
         elif kind == THIS_TEST or test:
             band = self._repeat(trace, forecast, test)
         else:
@@ -436,11 +415,11 @@ class Run:
             for extrapolation in self.extrapolations(trace, test)
         ]
         tests = [self.manifest.tests[name].conditions for name in ([test] if test else self.tests)]
-        remarks += [kind] if (kind := kind_sentence(tests, trace)) and given is None else []
+        remarks += [kind] if (kind := kind_sentence(tests, trace)) and condition_on is None else []
         remarks += self._remarks(session, device, CONDITIONS if test else forecast.conditions)
         remarks += [NO_GAP] if after and forecast.before is None else []
         remarks += [*forecast.remarks, *band.remarks]
-        return replace(band, remarks=tuple(remarks), extras=self.extras)
+        return replace(band, remarks=tuple(remarks), _backend=self._backend)
 
     def _remarks(self, session: str, device: str, conditions: Collection[str]) -> list[str]:
         """Remarks of every band: an unusable run, what no test has, and what is not said."""
@@ -572,7 +551,9 @@ class Run:
                 and (span.name not in ("stroke", "speed") or span.highest > plan[span.name])
             ]
             sentences = [d.sentence(self.system) for d in extrapolations(self.tested, reached)]
-            return replace(band, remarks=(*sentences, *remarks, *band.remarks), extras=self.extras)
+            return replace(
+                band, remarks=(*sentences, *remarks, *band.remarks), _backend=self._backend
+            )
 
         forecaster.complete = complete
         return forecaster
@@ -588,3 +569,34 @@ class Run:
         from mfd_bayes.applications.next_test.next_test import next_test
 
         return next_test(self, goal, candidates, **options)
+
+
+def rewrite_manifest(run: Run, **updates: Any) -> Run:
+    """The run with changed keys in its manifest; the manifest is written."""
+    manifest = run.manifest.changed(**updates)
+    manifest.write(run.folder)
+    return replace(run, manifest=manifest)
+
+
+def actuation_level(run: Run, text: str, *, of: str = "--actuation") -> float:
+    """Level of an actuation such as "1000 psi", in `actuation_unit`, as the tests had it."""
+    level, unit = parse_actuation(text, of=of)
+    if unit != run.actuation_unit:
+        kind = actuation_kind(run.actuation_unit)
+        raise CampaignError(f"{of} {text!r} must be {kind}, as in the campaign")
+    return level
+
+
+def prediction_conditions(run: Run, name: str) -> dict[str, Any]:
+    """Session, device and conditions of a test, as `Run.predict` takes them."""
+    settings = run.manifest.settings
+    return {
+        "session": run.session(name),
+        "device": settings.devices[name],
+        "conditions": settings.conditions[name],
+    }
+
+
+def sequence_of(run: Run) -> TestSequence:
+    """Which tests of a run follow each other without a reset, and where they end."""
+    return run._sequence

@@ -64,9 +64,11 @@ def test_predictions_stand_beside_fitted_tests_and_are_averaged():
     for words in ("Of 2 tests", "those of the other levels", "90.0 %", "50.0 %", "3.0 times"):
         assert words in view.sentence
     # whole histories that were held are counted, and no width has no ratio
-    flat = replace(pred_a, whole=True, fitted=scored(0.0, 0.0))
-    view = left_out_view(CampaignCrossValidation("test", (flat, replace(pred_b, whole=False))))
+    flat = replace(pred_a, simultaneous=True, fitted=scored(0.0, 0.0))
+    view = left_out_view(
+        CampaignCrossValidation("test", (flat, replace(pred_b, simultaneous=False)))
+    )
     assert "from the others" in view.sentence
-    assert [row["whole_95"] for row in (*view.rows, view.mean)] == [1.0, 0.0, 0.5]
+    assert [row["simultaneous_95"] for row in (*view.rows, view.mean)] == [1.0, 0.0, 0.5]
     assert "hold the whole force of 1 of 2 tests" in view.sentence
     assert math.isnan(view.rows[0]["width_ratio"])

@@ -63,7 +63,13 @@ def test_predict_writes_a_table_and_pictures(ask, table, motion, tmp_path):
         *("start in the gap", "energy_per_cycle"),
     ):
         assert text in printed
-    columns = ["whole_lower_kip", "lower_kip", "median_kip", "upper_kip", "whole_upper_kip"]
+    columns = [
+        "simultaneous_lower_kip",
+        "lower_kip",
+        "median_kip",
+        "upper_kip",
+        "simultaneous_upper_kip",
+    ]
     assert (np.diff(table()[columns].to_numpy(), axis=1) >= 0).all()
     expected = np.interp(table()["time_s"], TIME, np.sin(np.pi * TIME))
     np.testing.assert_allclose(expected, table()["displacement_in"], atol=2e-4)
@@ -212,10 +218,10 @@ def test_the_given_part_is_marked_and_the_rest_narrower(ask, table, run, held_ou
     outcome = ask(*options, "--kind", "observation", "--compare", "--simultaneous")
     printed = " ".join(outcome.stdout.split())
     assert "the force given from 0 s to 1 s" in printed
-    assert "# given: 1 where the force was given" in (tmp_path / "bands.csv").read_text()
+    assert "# conditioned: 1 where the force was given" in (tmp_path / "bands.csv").read_text()
     narrow = table()
-    np.testing.assert_array_equal(narrow.given == 1, narrow.time_s <= 1.0)
-    assert np.all(narrow.whole_upper_kip >= narrow.upper_kip)
+    np.testing.assert_array_equal(narrow.conditioned == 1, narrow.time_s <= 1.0)
+    assert np.all(narrow.simultaneous_upper_kip >= narrow.upper_kip)
     tail = narrow.time_s > 1.0
     counted = re.search(r"of the (\d+) measured samples in motion that were not given", printed)
     assert 0.9 * tail.sum() <= int(counted[1]) <= tail.sum()

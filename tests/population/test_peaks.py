@@ -10,6 +10,7 @@ from mfd_bayes import open_run
 from mfd_bayes.evaluation.properties import predicted_rows, properties_of
 from mfd_bayes.population.peaks import NO_EXCESS, PeakExcess, certain
 from mfd_bayes.records.trace import Harmonic
+from mfd_bayes.runs.run import sequence_of
 from mfd_bayes.store.netcdf import StoredTest
 
 DATA = Path(__file__).parents[1] / "data" / "run"
@@ -94,5 +95,5 @@ def test_the_excess_is_learned_on_the_forces_to_which_it_is_applied(monkeypatch)
     monkeypatch.setattr(StoredTest, "values", with_static_friction)
     assert open_run(DATA).with_peaks().peaks == learned
     isolated = open_run(DATA)
-    vars(isolated)["sequence"] = replace(isolated.sequence, pooled=lambda _: {})
+    vars(isolated)["_sequence"] = replace(sequence_of(isolated), pooled=lambda _: {})
     assert isolated.with_peaks().peaks != learned  # a test's own posterior would be seen

@@ -119,7 +119,7 @@ def make_campaign(tests: tuple[TestView, ...]) -> CampaignView:
     fans = (make_fan("mean", draws), make_fan("new_test", 1.1 * draws))
     best = {"quantity": "Fc_fwd", "law": "power", "chosen": False, "elpd": 3.2, "elpd_se": 0.9}
     best |= {"difference": 0.0, "difference_se": 0.0, "weight": 0.7, "pareto_k": 0.25}
-    prediction = {"part": "800 psi", "test": "p800_f0.25", "whole_95": NAN} | SCORES
+    prediction = {"part": "800 psi", "test": "p800_f0.25", "simultaneous_95": NAN} | SCORES
     prediction |= {"fitted_width": 0.2, "fitted_crps": 0.03, "width_ratio": 2.0, "crps_ratio": 2.0}
     mean = prediction | {"part": "", "test": "mean"}
     return CampaignView(

@@ -21,6 +21,7 @@ from mfd_bayes.applications.buildings.response import sweep_of, variance_shares
 from mfd_bayes.applications.buildings.time_integration import response_of
 from mfd_bayes.errors import BuildingError
 from mfd_bayes.evaluation.bounds import design_rows
+from mfd_bayes.runs.run import rewrite_manifest
 from mfd_bayes.units import GRAVITY
 from tests.command_line import here, said, write_csv
 
@@ -340,7 +341,7 @@ def test_an_answer_says_what_its_run_may_be_used_for(
         ("usable with care", "! Answered, with care"),
         ("not usable", "✗ The run is not usable"),
     ):
-        mb.open_run(folder).rewrite(verdicts={"campaign": use, "sentence": sentence})
+        rewrite_manifest(mb.open_run(folder), verdicts={"campaign": use, "sentence": sentence})
         printed = respond("--scale", "0.4", "--quiet", out=folder).output
         page = (tmp_path / "r" / "report.html").read_text()
         assert f"the run of this device is {use}: {sentence}" in printed

@@ -11,7 +11,7 @@ import pytest
 
 import mfd_bayes as mb
 from mfd_bayes.errors import NotThereError
-from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.run import open_run, sequence_of
 
 DATA = Path(__file__).parents[1] / "data" / "run"
 
@@ -38,7 +38,7 @@ def test_tests_are_a_mapping_that_cannot_be_changed(run):
 
 @pytest.mark.parametrize("name", ["zz", None, 5, ["a"]])
 def test_what_is_said_of_a_test_that_is_not_there_is_a_sentence(run, trace, name):
-    for function in (run.session, run.place, lambda name: run.extrapolations(trace, name or "zz")):
+    for function in (run.session, lambda name: run.extrapolations(trace, name or "zz")):
         with pytest.raises(NotThereError, match=r"the run has no test .*: there are"):
             function(name)
 
@@ -51,7 +51,7 @@ def test_runs_and_tests_that_are_not_there_are_named(run):
         with pytest.raises(NotThereError, match=r"no .*test .*: there are p500_f0.5, p1000_f0.5"):
             run.tests[wrong]
     with pytest.raises(NotThereError, match=r"no .*test 'zz': there are p500_f0.5, p1000_f0.5"):
-        run.sequence.values("zz")
+        sequence_of(run).values("zz")
     with pytest.raises(NotThereError, match=r"no held-out test 'zz': there are p800_f0\.5"):
         run.held_out["zz"]
 
@@ -62,11 +62,15 @@ THIS = {"kind": "this_test", "test": "p500_f0.5"}
 @pytest.mark.parametrize(
     ("act", "options", "words"),
     [
-        ("predict", {"whole": "no"}, "whole"),
+        ("predict", {"simultaneous": "no"}, "simultaneous"),
         ("predict", THIS | {"test": "zz"}, "p1000.*, got 'zz'"),
         ("predict", THIS | {"test": "p800_f0.5"}, "got 'p800_f0.5', which was held out"),
         ("predict", THIS | {"kind": "new_test"}, "for the kind this_test, not for new_test"),
-        ("predict", THIS | {"given": (0.0, 1.0)}, "given cannot .* a calibrated test"),
+        (
+            "predict",
+            THIS | {"condition_on": (0.0, 1.0)},
+            "condition_on cannot .* a calibrated test",
+        ),
         ("predict", THIS | {"session": "other"}, "session 'other' is for"),
         ("predict", {"probability": "0.9"}, "probability must be a finite number .*, got '0.9'"),
         ("next_test", {"goal": 5}, "goal must be text"),

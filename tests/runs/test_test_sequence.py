@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.population.bands import PredictionOptions, Predictor
-from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.run import open_run, sequence_of
 from mfd_bayes.runs.test_sequence import TestSequence
 
 FORECAST = PredictionOptions(draws=20)
@@ -30,7 +30,7 @@ def ordered(run, turns=None, **predecessors):
 def test_a_test_begins_where_the_posterior_of_the_one_before_ends(run):
     chained = ordered(run, c="b")
     trace = run.held_out["c"]
-    ending = chained.sequence.before("c", trace, FORECAST)
+    ending = sequence_of(chained).before("c", trace, FORECAST)
     model, test = run.tests["b"].posterior.model, run.tests["b"]
     values = test.stored.values()
     pick = np.linspace(0, len(values["start"]) - 1, 20).astype(int)
@@ -40,7 +40,7 @@ def test_a_test_begins_where_the_posterior_of_the_one_before_ends(run):
     moved = ended + (trace.displacement[0] - test.trace.displacement[-1]) / gap
     np.testing.assert_allclose(ending.place, np.clip(moved, 0.0, 1.0))
     assert (ending.test, ending.predicted) == ("b", False)
-    assert chained.sequence.before("b", trace, FORECAST) is None
+    assert sequence_of(chained).before("b", trace, FORECAST) is None
 
 
 def test_what_the_windows_leave_out_moves_the_device_in_between(run):
@@ -51,7 +51,7 @@ def test_what_the_windows_leave_out_moves_the_device_in_between(run):
         ({"c": {"before": (90.0, -90.0)}}, 1.0),
         ({"b": {"after": (-90.0,)}, "c": {"before": (90.0,)}}, 0.0),
     ):
-        ending = ordered(run, turns, c="b").sequence.before("c", trace, FORECAST)
+        ending = sequence_of(ordered(run, turns, c="b")).before("c", trace, FORECAST)
         np.testing.assert_allclose(ending.place, expected, atol=1e-9)
 
 
@@ -59,7 +59,7 @@ def test_a_prediction_says_which_test_it_follows(run):
     motion = replace(run.held_out["c"], force=None)
     band = run.predict(motion, draws=20, after="b")
     assert band.source.endswith("begun where in its gap test b ended")
-    model, ending = run.tests["b"].posterior.model, run.sequence.ending("b", motion, FORECAST)
+    model, ending = run.tests["b"].posterior.model, sequence_of(run).ending("b", motion, FORECAST)
     assert set(band.values["start"]) <= set(model.start_at(ending.place, motion))
     explicit = run.predict(motion, draws=20, after=ending)
     np.testing.assert_array_equal(explicit.draws, band.draws)

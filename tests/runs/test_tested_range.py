@@ -99,7 +99,7 @@ def test_a_motion_of_another_kind_is_said_and_has_no_properties_of_cycles(made_r
         derived = (tmp_path / f"{uneven}_derived.csv").read_text()
         for name in ("slip_fwd", "effective_stiffness", "energy_per_cycle"):
             assert (name not in derived) == uneven
-        assert "energy_in_all" in derived
+        assert "total_energy" in derived
         assert "peak_fwd" in derived
 
 

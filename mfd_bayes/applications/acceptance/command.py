@@ -18,7 +18,7 @@ from mfd_bayes.console import print_rows, say, warn
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.reporting.tables import to_csv
 from mfd_bayes.runs.folder import check_folder
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.run import Run, actuation_level, open_run
 from mfd_bayes.runs.stated import read_as_tests, stated_actuation, stated_conditions
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
 
@@ -79,7 +79,7 @@ def accept_records(options: AcceptOptions) -> tuple[tuple[Acceptance, ...], tupl
     limits = parse_limits(options.limit)
     run = replace(open_run(options.out, trust=options.trust_model), units=options.units)
     options = replace(options, actuation=stated_actuation(run, options.actuation))
-    run.level_of(options.actuation)
+    actuation_level(run, options.actuation)
     records = [read_as_tests(run, path, options.actuation) for path in options.records]
     device = options.device[0] if len(options.device) == 1 else options.device or ""
     devices = accept(

@@ -46,7 +46,7 @@ from mfd_bayes.records.cross_checks import UNITS as RECORD_UNITS
 from mfd_bayes.records.loops import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run, prediction_conditions
 from mfd_bayes.runs.tested_range import extrapolation_messages
 from mfd_bayes.units import DAMPER, Axes, factor
 
@@ -296,13 +296,15 @@ def birge_ratios(run: Run) -> dict[str, float]:
     """
     peaks, sizes = run.peaks, dict[str, list[float]]()
     for name, test in run.tests.items():
-        trace, options = test.trace, {**run.place(name), "draws": FEW}
+        trace, options = test.trace, {**prediction_conditions(run, name), "draws": FEW}
         motion = replace(trace, force=None)
         observed, smooth = (
             run.predict(motion, kind, **options) for kind in ("observation", "new_test")
         )
         measured = measured_properties(measured_of(run.manifest, name))
-        resolution = at_rate(run, motion, run.place(name), run.manifest.tests[name].record_rate)
+        resolution = at_rate(
+            run, motion, prediction_conditions(run, name), run.manifest.tests[name].record_rate
+        )
         for quantity, values in _quantities(motion, observed, smooth, peaks).items():
             logs = np.log(values[np.isfinite(values)]) + np.log(resolution.get(quantity, 1.0))
             value = measured.get(quantity, np.nan)

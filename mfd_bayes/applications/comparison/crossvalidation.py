@@ -26,7 +26,7 @@ from mfd_bayes.runs.manifest import (
     PartKind,
     Prediction,
 )
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.run import Run, open_run, prediction_conditions
 from mfd_bayes.runs.test_sequence import TestSequence
 from mfd_bayes.runs.unit_system import US
 from mfd_bayes.store.files import AtLeastOne, Part, check, read_json, write_json
@@ -192,7 +192,9 @@ def leave_out(
         test = run.tests[name]
         posterior, force = test.posterior, np.asarray(test.trace.force)
         predictor = Predictor(inference.population, posterior.model, posterior.noise)
-        forecast = PredictionOptions("observation", draws=DRAWS, seed=fold.seed, **run.place(name))
+        forecast = PredictionOptions(
+            "observation", draws=DRAWS, seed=fold.seed, **prediction_conditions(run, name)
+        )
         order = TestSequence(run.manifest, training, motions, predictor, pooled)
         forecast = replace(forecast, before=order.before(name, test.trace, forecast))
         band = predictor.predict(test.trace, forecast)

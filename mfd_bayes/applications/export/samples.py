@@ -16,7 +16,7 @@ from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import POPULATION, check_folder
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.run import Run, actuation_level, open_run
 from mfd_bayes.runs.tested_range import Range, extrapolation_messages, extrapolations
 from mfd_bayes.store.files import read_json, remove_file, write_json, write_text
 
@@ -37,7 +37,7 @@ def export(options: ExportOptions) -> tuple[list[str], list[str]]:
     if options.actuation:
         if not actuated:
             raise CampaignError("--actuation: the campaign's tests have none; leave it out")
-        level = run.level_of(options.actuation)
+        level = actuation_level(run, options.actuation)
     reach = [Range("actuation", run.actuation_unit, level, level)] if actuated else []
     exceedances = extrapolations(run.tested, reach)
     far = extrapolation_messages(exceedances, run.system)

@@ -26,7 +26,7 @@ from mfd_bayes.records.trace import Trace, parse_sine
 from mfd_bayes.reporting.tables import convert_rows
 from mfd_bayes.runs.folder import check_outputs
 from mfd_bayes.runs.model_average import ModelAverage
-from mfd_bayes.runs.run import open_run
+from mfd_bayes.runs.run import actuation_level, open_run
 from mfd_bayes.runs.stated import stated_actuation, stated_conditions
 from mfd_bayes.runs.tested_range import extrapolation_messages
 from mfd_bayes.runs.unit_system import UnitSystem
@@ -97,7 +97,7 @@ def predict(options: PredictOptions) -> Answer:
         replace(member, conditions=conditions, units=options.units) for member in (run, *other_runs)
     )
     source = ModelAverage((run, *other_runs)) if other_runs else run
-    level = run.level_of(options.actuation)
+    level = actuation_level(run, options.actuation)
     motion, remarks, record = _motion_of(options, run.manifest.settings, run.system.axes)
     measured = replace(motion, actuation=level)  # with its force, if the file has one
     trace = replace(measured, force=None)
@@ -109,8 +109,8 @@ def predict(options: PredictOptions) -> Answer:
     design: Rows = ()
     request = measured if options.condition_on else trace, options.kind, options.probability
     how: dict[str, Any] = {
-        "whole": options.simultaneous,
-        "given": _window(options),
+        "simultaneous": options.simultaneous,
+        "condition_on": _window(options),
         "after": options.after,
         "session": options.session,
     }
@@ -282,12 +282,12 @@ def _write(options: PredictOptions, trace: Trace, answer: Answer, measured: Trac
     from mfd_bayes.reporting.figures import draw_history, draw_loops, to_png
 
     fan = fan_of_band(band)
-    window = band.given.window if band.given else None
+    window = band.conditioning.window if band.conditioning else None
     history = trace
-    if band.given is not None:
+    if band.conditioning is not None:
         title += f", given {options.condition_on}"
         if trace.force is None:  # the force of the given part alone
-            force = np.where(band.given.holds(band.time), np.asarray(measured.force), np.nan)
+            force = np.where(band.conditioning.holds(band.time), np.asarray(measured.force), np.nan)
             history = replace(trace, force=force)
     loops = draw_loops(title, trace, [fan], system)
     write_bytes(options.picture, to_png(loops))

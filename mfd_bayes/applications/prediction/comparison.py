@@ -98,7 +98,11 @@ class Compared:
 def compare(band: Band, trace: Trace) -> Compared:
     """A band beside the measured force of its motion, where that moves and was not given."""
     force = np.asarray(trace.force)
-    remaining = ~band.given.holds(band.time) if band.given else np.ones(force.size, dtype=np.bool_)
+    remaining = (
+        ~band.conditioning.holds(band.time)
+        if band.conditioning
+        else np.ones(force.size, dtype=np.bool_)
+    )
     if not np.any(remaining):
         raise CampaignError("nothing is left to compare: the whole record was given")
     moving = in_motion(trace)
@@ -115,7 +119,7 @@ def compare(band: Band, trace: Trace) -> Compared:
         float(np.mean(crps(band.draws[:, mask], force[mask]))),
         band.kind,
         band.probability,
-        band.given is not None,
+        band.conditioning is not None,
     )
 
 

@@ -45,8 +45,10 @@ def bands_csv(trace: Trace, band: Band, notes: Sequence[str], system: UnitSystem
     `system`.
     """
     forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
-    if band.shows_whole:
-        forces |= dict(zip(("whole_lower", "whole_upper"), band.whole, strict=True))
+    if band.shows_simultaneous:
+        forces |= dict(
+            zip(("simultaneous_lower", "simultaneous_upper"), band.simultaneous, strict=True)
+        )
     columns: dict[str, Any] = {
         # may be seconds since 1970
         "time_s" if system.axes.timed else "sample": [f"{time:.15g}" for time in trace.time],
@@ -60,10 +62,10 @@ def bands_csv(trace: Trace, band: Band, notes: Sequence[str], system: UnitSystem
         f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
         f"({KIND_NAMES[band.kind]}), for each sample by itself; from {band.source}"
     ]
-    if band.shows_whole:
-        head.append("whole: band of the whole history, of the same probability")
-    if band.given is not None:
-        columns["given"] = band.given.holds(trace.time).astype(int)
-        head.append(system.text("given: 1 where the force was given, 0 elsewhere"))
+    if band.shows_simultaneous:
+        head.append("simultaneous: band of the whole history, of the same probability")
+    if band.conditioning is not None:
+        columns["conditioned"] = band.conditioning.holds(trace.time).astype(int)
+        head.append(system.text("conditioned: 1 where the force was given, 0 elsewhere"))
     head += [system.text(f"warning: {remark}") for remark in band.remarks] + list(notes)
     return _csv(head, columns, 8)

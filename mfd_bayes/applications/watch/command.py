@@ -14,7 +14,7 @@ from mfd_bayes.console import say
 from mfd_bayes.errors import MfdError, RecordError
 from mfd_bayes.population.conditioning import Estimate, OnlinePredictor, is_enough
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.run import Run, open_run
+from mfd_bayes.runs.run import Run, actuation_level, open_run
 from mfd_bayes.runs.stated import read_as_tests, stated_actuation, stated_conditions
 from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import UnitSystem
@@ -77,7 +77,7 @@ def watch(options: WatchOptions) -> Iterator[Cycle]:
     run = open_run(options.run, trust=options.trust_model)
     run = replace(run, conditions=stated_conditions(options))
     options = replace(options, actuation=stated_actuation(run, options.actuation))
-    level = run.level_of(options.actuation)
+    level = actuation_level(run, options.actuation)
     narrowing = parse_quantity(options.narrowing, "dimensionless", of="--narrowing")
     wait = parse_quantity(options.wait, "time", of="--wait")
     follower: OnlinePredictor | None = None

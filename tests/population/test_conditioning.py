@@ -81,7 +81,7 @@ def test_an_offset_given_a_part_is_the_closed_form(share, end):
     source = known_but_for_the_offset(share)
     record, force, _ = truth_of(source, seed=4)
     band = predict_given(source, record, PredictionOptions(draws=4000, seed=1), (0.0, end))
-    assert band.given.method == "sampling" or end < 1.0
+    assert band.conditioning.method == "sampling" or end < 1.0
     window = end >= TIME
     n, turns = np.count_nonzero(window), record.turning_points
     strokes = np.searchsorted(turns, np.arange(n), side="right")
@@ -92,7 +92,9 @@ def test_an_offset_given_a_part_is_the_closed_form(share, end):
     precision = weight.sum() + OFFSET**-2
     mean, sd = weight @ residual / precision, precision**-0.5
     offsets = band.values["offset"]
-    size = min(band.given.effective, 1500) if band.given.method == "weights" else 300.0
+    size = (
+        min(band.conditioning.effective, 1500) if band.conditioning.method == "weights" else 300.0
+    )
     assert abs(offsets.mean() - mean) < 4.0 * sd / np.sqrt(size)
     assert offsets.std() == pytest.approx(sd, rel=4.0 / np.sqrt(2.0 * size))
     assert sd < 0.7 * OFFSET  # the control
@@ -113,7 +115,7 @@ def test_a_given_part_makes_the_band_narrower_and_nearer(name, number, monkeypat
         forecast = PredictionOptions(draws=300, seed=seed)
         prior = source.predict(record, forecast)
         band = predict_given(source, record, forecast, (0.0, 2.2))
-        assert band.given.window == (0.0, 2.2)
+        assert band.conditioning.window == (0.0, 2.2)
         unreliable += len(band.remarks)
         errors.append([np.abs(b.median - force)[tail].mean() for b in (prior, band)])
         widths.append([np.mean((b.upper - b.lower)[tail]) for b in (prior, band)])
@@ -141,7 +143,7 @@ def test_a_test_that_is_followed_is_that_which_is_given(name):
     prior = source.predict(record, forecast)
     draws = [followed.draws, conditional.draws[:, index:]]
     sd = draws[1].std(axis=0)
-    size = min(followed.given.effective, conditional.given.effective)
+    size = min(followed.conditioning.effective, conditional.conditioning.effective)
     distance = np.abs(draws[0].mean(axis=0) - draws[1].mean(axis=0)) / sd
     # within the error of two weighted samples, and what blocks of samples leave
     assert np.mean(distance) < 4.0 / np.sqrt(size) + 0.1
@@ -186,7 +188,7 @@ def test_what_cannot_be_given_or_follow_is_one_sentence():
     source = predictor("lugre")
     record, _, _ = truth_of(source)
     for trace, kind, window, words in (
-        (record, "mean", (0.0, 1.0), "given is for the kinds"),
+        (record, "mean", (0.0, 1.0), "condition_on is for the kinds"),
         (record, "new_test", (0.0, 60.0), "within the record"),
         (record, "new_test", (1.0, 1.03), "too few"),
         (replace(record, force=0.0 * TIME), "new_test", (0.0, 1.0), "force is zero"),
