@@ -1,11 +1,12 @@
 """Chains of the exact joint posterior of population and tests.
 
-Under the Gaussian likelihoods of the tests the
-population's h has known draws, and given h the coefficients z and the tests' own coordinates are
-affine in standard normal numbers e. A sweep of the sampler has three moves:
+Under the Gaussian likelihoods of the tests the population's h has a known density, near which a
+Student t lies, and given h the coefficients z and the tests' own coordinates are affine in standard
+normal numbers e. A sweep of the sampler has three moves:
 
 1. the numbers of each test, each accepted by its own likelihood;
-2. the numbers of z, with another h from its draws, accepted by all tests;
+2. the numbers of z, with another h from the Student t, accepted by all tests, and by the density of
+   h over that of the t (independence Metropolis: Tierney, 1994);
 3. given all tests, which needs no force: each coordinate of h by random-walk Metropolis, then z
    from its Gaussian (Gibbs).
 
@@ -16,7 +17,7 @@ form of one hierarchy: where one mixes slowly the other does not (Yu and Meng, 2
 
 While warming up the Gaussian likelihoods are fitted anew, by least squares, to the exact ones of
 what was proposed, each weighted by the probability of its acceptance (waste recycling: Frenkel,
-2004). With Gaussian likelihoods every move of the first two kinds is accepted.
+2004). With Gaussian likelihoods every move of the first kind is accepted.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ from mfd_bayes.population.joint_fit import Array, Index, JointFit
 from mfd_bayes.population.mixed_model import (
     LARGEST,
     MixedModel,
+    StudentT,
     backward,
     forward,
 )
@@ -82,14 +84,14 @@ class ExactSampler:
     def __init__(
         self,
         fit: JointFit,
-        approximate: Callable[[JointFit], tuple[MixedModel, Sequence[Array]]],
+        approximate: Callable[[JointFit], tuple[MixedModel, Sequence[StudentT]]],
         unpooled: NDArray[np.bool_],
         choice: Index,
         rng: np.random.Generator,
         evaluate: Evaluate[Array, Array] | None = None,
     ) -> None:
         self.fit, self.approximate, self.unpooled, self.rng = fit, approximate, unpooled, rng
-        self.mixed, self.pool = mixed, _ = approximate(fit)
+        self.mixed, self.densities = mixed, _ = approximate(fit)
         self.choice, self.d = choice, len(mixed.design.names)
         self.evaluate = evaluate or in_turn([test.log_likelihood for test in fit.tests])
         local = np.any(unpooled, axis=0)
@@ -100,13 +102,20 @@ class ExactSampler:
         self.proposals: list[tuple[Array, Array, Array]] = []
         self.warming_up = True
         self.rates: list[tuple[Array, float]] = []  # accepted shares: of each test, and of z
-        h = self._fresh_h()
+        h, _ = self._propose_h()
         e = rng.standard_normal((len(h), len(fit.mean), self.local.size))
         self.state = self._at(h, mixed.marginal(h, choice)[1].draw(rng), e)
 
-    def _fresh_h(self) -> Array:
-        """Draws of h of every chain under the approximation."""
-        return np.stack([pool[self.rng.integers(len(pool))] for pool in self.pool])
+    def _propose_h(self) -> tuple[Array, Array]:
+        """Draws of h of every chain from its Student t, (n, dim), and their log weights, (n,)."""
+        g = np.concatenate([density.draw(self.rng, 1) for density in self.densities])
+        return self.mixed.from_standard_normal(g), self._log_weight(g)
+
+    def _log_weight(self, g: Array) -> Array:
+        """Log prior density of numbers (n, dim) over that of each chain's Student t, (n,)."""
+        each = zip(self.densities, g[:, None], strict=True)
+        proposed = [density.log_density(numbers) for density, numbers in each]
+        return np.asarray(-0.5 * np.sum(g**2, axis=1) - np.concatenate(proposed))
 
     def _linear(self, z: Array) -> Array:
         """Levels, slopes and effects of the tests, (n, J, d)."""
@@ -165,15 +174,17 @@ class ExactSampler:
         own, e = tests[..., None], np.where(tests[..., None], moved, e)
         excess = np.where(tests, new.excess, s.excess)
         s = s._replace(x=np.where(own, new.x, s.x), excess=excess)
-        # z, with h from its draws
-        gaussian = marginal(s.h, self.choice)[1]
+        # z, with h from its Student t
+        log, gaussian = marginal(s.h, self.choice)
+        log += self._log_weight(self.mixed.to_standard_normal(s.h))
         e_z = np.einsum("nji,nj->ni", gaussian.factor, s.z - gaussian.mean)
-        e_z, h = self._autoregressive(e_z, self.beta_z), self._fresh_h()
-        gaussian = marginal(h, self.choice)[1]
+        e_z = self._autoregressive(e_z, self.beta_z)
+        h, log_weight = self._propose_h()
+        log_marginal, gaussian = marginal(h, self.choice)
         new = self._at(h, gaussian.mean + backward(gaussian.factor, e_z), e)
         self._keep(s, new)
-        better = new.excess.sum(axis=1) - s.excess.sum(axis=1)
-        accepted = np.log(rng.random(len(better))) < better
+        log_ratio = new.excess.sum(axis=1) - s.excess.sum(axis=1) + log_marginal + log_weight - log
+        accepted = np.log(rng.random(len(log_ratio))) < log_ratio
         self.state = ChainState(
             *(
                 np.where(accepted.reshape(-1, *[1] * (a.ndim - 1)), b, a)
@@ -230,7 +241,7 @@ class ExactSampler:
             outer = np.linalg.solve(root.T, vectors)
             precision[j] = (outer * values) @ outer.T
         self.fit = replace(fit, mean=mean, precision=precision)
-        self.mixed, self.pool = self.approximate(self.fit)
+        self.mixed, self.densities = self.approximate(self.fit)
         self.state = self.state._replace(excess=self._excess(self.state.x))
 
     def _move_h(self) -> None:

@@ -54,6 +54,7 @@ from mfd_bayes.population.mixed_model import (
     DependenceScore,
     LawScore,
     MixedModel,
+    StudentT,
     TestGaussians,
     compare_dependence,
     compare_laws,
@@ -70,7 +71,6 @@ from mfd_bayes.population.population import (
 from mfd_bayes.records.trace import Trace
 
 ALTERNATIVES = 400  # draws under all laws together, for actuations beyond the tested levels
-POOL = 4000  # draws of the variance parameters
 # largest number of sweeps of the exact sampler
 SWEEPS = {"quick": 400, "standard": 2000, "thorough": 10000}
 # with more tests than this there are fewer chains: laws and variances are then known well
@@ -171,11 +171,11 @@ def _inferred(
     mixed.find_outliers(choice[0])
     kinds, kind = np.unique(choice, axis=0, return_inverse=True)
 
-    def approximate(fit: JointFit) -> tuple[MixedModel, list[Array]]:
+    def approximate(fit: JointFit) -> tuple[MixedModel, list[StudentT]]:
         mixed_model = MixedModel(design, *gaussians_of(fit, unpooled, d), mixed.weight)
         mixed_model.adapted = mixed.adapted  # the next fit is near the last one
-        pools = [mixed_model.sample(likelihood, rng, POOL) for likelihood in kinds]
-        return mixed_model, [pools[k] for k in kind.ravel()]
+        densities = [mixed_model.importance_sample(laws, rng)[0] for laws in kinds]
+        return mixed_model, [densities[k] for k in kind.ravel()]
 
     began, limit = time.perf_counter(), SWEEPS.get(effort.name, 2000)
 

@@ -66,6 +66,25 @@ class Coefficients(NamedTuple):
         return self.mean + backward(self.factor, rng.standard_normal(self.mean.shape))
 
 
+class StudentT(NamedTuple):
+    """Multivariate t density with `FREEDOM` degrees of freedom: mean (dim,), root (dim, dim)."""
+
+    mean: Array
+    root: Array
+
+    def draw(self, rng: np.random.Generator, n: int) -> Array:
+        """Draws, (n, dim)."""
+        y = rng.standard_normal((n, self.mean.size))
+        y /= np.sqrt(rng.chisquare(FREEDOM, (n, 1)) / FREEDOM)
+        return self.mean + y @ self.root.T
+
+    def log_density(self, g: Array) -> Array:
+        """Log density of g (n, dim) but for a constant, (n,)."""
+        y = np.linalg.solve(self.root, (g - self.mean).T)
+        log = np.log1p(np.sum(y**2, axis=0) / FREEDOM)
+        return np.asarray(-0.5 * (FREEDOM + self.mean.size) * log)
+
+
 class MixedModel:
     """Density of h, and Gaussians given h.
 
@@ -143,6 +162,19 @@ class MixedModel:
             share = special.log_ndtr(w) - special.log_ndtr(-w)  # its logit
             h[:, v + i] = share if shape == "share" else EXPONENT[0] + EXPONENT[1] * w
         return np.clip(h, 1.0 - LARGEST, LARGEST - 1.0)
+
+    def to_standard_normal(self, h: Array) -> Array:
+        """Numbers g (n, dim) of values of h: the inverse of `from_standard_normal`."""
+        g, v = np.empty(h.shape), self.f + self.e
+        size = np.exp(h[:, :v]) / self.scale
+        below = special.ndtri(np.maximum(2.0 * special.ndtr(size) - 1.0, 1e-300))
+        above = -special.ndtri(np.maximum(2.0 * special.ndtr(-size), 1e-300))
+        g[:, :v] = np.where(size < 1.0, below, above)
+        for i, (_, shape) in enumerate(self.design.shapes):
+            q = h[:, v + i]
+            share = np.where(q < 0.0, 1.0, -1.0) * special.ndtri(special.expit(-np.abs(q)))
+            g[:, v + i] = share if shape == "share" else (q - EXPONENT[0]) / EXPONENT[1]
+        return g
 
     # --- Gaussians given h ------------------------------------------------------------------------
 
@@ -265,27 +297,24 @@ class MixedModel:
         values, vectors = np.linalg.eigh(-hessian)
         return mode, vectors / np.sqrt(np.maximum(values, 0.5))
 
-    def sample(self, choice: Index, rng: np.random.Generator, n: int) -> Array:
-        """Draws of h, (n, dim), by importance resampling.
+    def importance_sample(
+        self, choice: Index, rng: np.random.Generator
+    ) -> tuple[StudentT, Array, Array]:
+        """Student t near the posterior of the numbers; points of it (n, dim), log weights (n,).
 
-        The numbers are of a multivariate t near the mode. Its mean and covariance are adapted to
-        the weighted points until these are worth enough (adaptive importance sampling: Oh and
-        Berger, 1992), from those of the draws before under the same laws, if there were any.
+        Its mean and covariance are adapted to the weighted points until these are worth enough
+        (adaptive importance sampling: Oh and Berger, 1992), from those of the call before under
+        the same laws, if there was any.
         """
-        if not self.dim:
-            return np.zeros((n, 0))
         laws, rounds = tuple(choice.tolist()), ADAPTED
         if laws not in self.adapted:
-            mode, root = self.laplace(choice)
+            mode, root = self.laplace(choice) if self.dim else (np.zeros(0), np.zeros((0, 0)))
             self.adapted[laws], rounds = (mode, root @ root.T), ADAPTATIONS
         mean, covariance = self.adapted[laws]
         for _ in range(rounds):
-            root = np.asarray(np.linalg.cholesky(covariance))
-            y = rng.standard_normal((POINTS, self.dim))
-            y /= np.sqrt(rng.chisquare(FREEDOM, (POINTS, 1)) / FREEDOM)
-            g = mean + SCALE * y @ root.T
-            log = 0.5 * (FREEDOM + self.dim) * np.log1p(np.sum(y**2, axis=1) / FREEDOM)
-            log += self.log_numbers(g, choice)
+            density = StudentT(mean, SCALE * np.asarray(np.linalg.cholesky(covariance)))
+            g = density.draw(rng, POINTS)
+            log = self.log_numbers(g, choice) - density.log_density(g)
             weight = special.softmax(log)
             size = 1.0 / np.sum(weight**2)
             if size >= ENOUGH:
@@ -296,6 +325,11 @@ class MixedModel:
             mean = (size * centre + before * mean) / (size + before)
             covariance = np.asarray((size * spread + before * covariance) / (size + before))
         self.adapted[laws] = mean, covariance
+        return density, g, log
+
+    def sample(self, choice: Index, rng: np.random.Generator, n: int) -> Array:
+        """Draws of h, (n, dim), by importance resampling: many are the same."""
+        _, g, log = self.importance_sample(choice, rng)
         return self.from_standard_normal(g[systematic(log, n, rng)])
 
     def find_outliers(self, choice: Index) -> None:
