@@ -5,14 +5,18 @@ Student t lies, and given h the coefficients z and the tests' own coordinates ar
 normal numbers e. A sweep of the sampler has three moves:
 
 1. the numbers of each test, each accepted by its own likelihood;
-2. the numbers of z, with another h from the Student t, accepted by all tests, and by the density of
-   h over that of the t (independence Metropolis: Tierney, 1994);
+2. one of these, each accepted by all tests:
+   - the numbers of z, with another h from the Student t, accepted by the density of h over that of
+     the t too (independence Metropolis: Tierney, 1994);
+   - the levels of what all tests share, by the difference of two draws of the warm-up (DE-MC(Z):
+     ter Braak and Vrugt, 2008), or from a mixture fitted to these draws (independence Metropolis);
+     the rest of z is shifted as its Gaussian given h says;
 3. given all tests, which needs no force: each coordinate of h by random-walk Metropolis, then z
    from its Gaussian (Gibbs).
 
 The first two change the numbers by the preconditioned Crank-Nicolson step e' = √(1 - β²) e + β ξ,
 which leaves the approximation as it is, and are accepted by the exact over the approximate
-likelihoods (Rudolf and Sprungk, 2018). The second is the non-centred and the third the centred
+likelihoods (Rudolf and Sprungk, 2018). The first two are the non-centred and the third the centred
 form of one hierarchy: where one mixes slowly the other does not (Yu and Meng, 2011).
 
 While warming up the Gaussian likelihoods are fitted anew, by least squares, to the exact ones of
@@ -22,6 +26,7 @@ what was proposed, each weighted by the probability of its acceptance (waste rec
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -33,10 +38,12 @@ from mfd_bayes.calibration.diagnostics import (
     Convergence,
     measure,
 )
+from mfd_bayes.calibration.proposal import Proposal, fit_mixture, fit_proposal
 from mfd_bayes.jobs.local import Evaluate, in_turn
 from mfd_bayes.population.joint_fit import Array, Index, JointFit
 from mfd_bayes.population.mixed_model import (
     LARGEST,
+    Coefficients,
     MixedModel,
     StudentT,
     backward,
@@ -46,12 +53,16 @@ from mfd_bayes.population.mixed_model import (
 CHAINS = 4  # groups of independent chains; R̂ is taken across groups
 STORED = 2**26  # most numbers of the tests' coordinates that are held
 # how often the Gaussians are fitted anew, sweeps before each and after the last, of which the first
-# quarter is forgotten, and sweeps between looks at the convergence
-REFITS, WARM_UP, BLOCK = 3, 20, 40
+# quarter is forgotten, and kept sweeps before the first look at the convergence
+REFITS, WARM_UP, FIRST = 3, 20, 40
 RIDGE = 3.0  # of the least squares, for the few draws of a large campaign
 LEAST = 1e-3  # least precision of a test over that of its posterior, in any direction
 ACCEPT = 0.3  # share of moves of the tests that is to be accepted
 ACCEPT_Z = 0.2  # the same of z
+# shares of the moves of z: with another h; of common levels by a difference of draws; by a mixture
+MOVES = (0.3, 0.35, 0.35)
+FULL = 0.15  # share of the differences of draws that are taken as they are: from mode to mode
+COMPONENTS = 4  # of the mixture
 RANDOM_WALK = 0.6  # sd of the random walk of the coordinates of h
 
 
@@ -102,6 +113,10 @@ class ExactSampler:
         self.proposals: list[tuple[Array, Array, Array]] = []
         self.warming_up = True
         self.rates: list[tuple[Array, float]] = []  # accepted shares: of each test, and of z
+        # levels of what all tests share: columns of z, draws of the warm-up, and their mixture
+        self.common = np.flatnonzero(mixed.design.common)
+        self.levels: list[Array] = []
+        self.archive: tuple[Array, Proposal] | None = None
         h, _ = self._propose_h()
         e = rng.standard_normal((len(h), len(fit.mean), self.local.size))
         self.state = self._at(h, mixed.marginal(h, choice)[1].draw(rng), e)
@@ -163,7 +178,7 @@ class ExactSampler:
 
     def sweep(self) -> None:
         """One move of each kind; while warming up the step sizes are tuned."""
-        s, rng, marginal = self.state, self.rng, self.mixed.marginal
+        s, rng = self.state, self.rng
         mean, factor = self._conditional(s.h, s.z)
         e = np.einsum("njab,nja->njb", factor, (s.x - mean)[..., self.local])
         # each test
@@ -174,16 +189,12 @@ class ExactSampler:
         own, e = tests[..., None], np.where(tests[..., None], moved, e)
         excess = np.where(tests, new.excess, s.excess)
         s = s._replace(x=np.where(own, new.x, s.x), excess=excess)
-        # z, with h from its Student t
-        log, gaussian = marginal(s.h, self.choice)
-        log += self._log_weight(self.mixed.to_standard_normal(s.h))
-        e_z = np.einsum("nji,nj->ni", gaussian.factor, s.z - gaussian.mean)
-        e_z = self._autoregressive(e_z, self.beta_z)
-        h, log_weight = self._propose_h()
-        log_marginal, gaussian = marginal(h, self.choice)
-        new = self._at(h, gaussian.mean + backward(gaussian.factor, e_z), e)
+        # all tests together
+        move = rng.choice(len(MOVES), p=MOVES) if self.archive else 0
+        h, z, log_ratio = self._with_another_h(s) if move == 0 else self._shift_common(s, move == 1)
+        new = self._at(h, z, e)
         self._keep(s, new)
-        log_ratio = new.excess.sum(axis=1) - s.excess.sum(axis=1) + log_marginal + log_weight - log
+        log_ratio += new.excess.sum(axis=1) - s.excess.sum(axis=1)
         accepted = np.log(rng.random(len(log_ratio))) < log_ratio
         self.state = ChainState(
             *(
@@ -195,9 +206,56 @@ class ExactSampler:
         each, together = tests.mean(axis=0), float(accepted.mean())
         self.rates.append((each, together))
         if self.warming_up:
+            self.levels.append(self.state.z[:, self.common])
             self.beta = np.clip(self.beta * np.exp(0.1 * (each - ACCEPT)), 0.05, 1.0)
             step = self.beta_z * np.exp(0.1 * (together - ACCEPT_Z))
             self.beta_z = float(np.clip(step, 0.02, 1.0))
+
+    def _with_another_h(self, s: ChainState) -> tuple[Array, Array, Array]:
+        """Proposed h, from its Student t, and z near its numbers; log ratio but for the excess."""
+        log, gaussian = self.mixed.marginal(s.h, self.choice)
+        log += self._log_weight(self.mixed.to_standard_normal(s.h))
+        e_z = np.einsum("nji,nj->ni", gaussian.factor, s.z - gaussian.mean)
+        e_z = self._autoregressive(e_z, self.beta_z)
+        h, log_weight = self._propose_h()
+        log_marginal, gaussian = self.mixed.marginal(h, self.choice)
+        z = gaussian.mean + backward(gaussian.factor, e_z)
+        return h, z, log_marginal + log_weight - log
+
+    def _shift_common(self, s: ChainState, by_difference: bool) -> tuple[Array, Array, Array]:
+        """The same of common levels that are moved; h stays."""
+        assert self.archive is not None
+        (draws, mixture), rng, n = self.archive, self.rng, len(s.h)
+        levels, log_ratio = s.z[:, self.common], np.zeros(n)
+        if by_difference:
+            first, second = draws[rng.integers(len(draws), size=(2, n))]
+            scale = np.where(rng.random(n) < FULL, 1.0, 2.38 / np.sqrt(2 * self.common.size))
+            moved = levels + scale[:, None] * (first - second)
+        else:
+            moved = mixture.draw(rng, n)
+            log_ratio += mixture.log_density(levels) - mixture.log_density(moved)
+        gaussian = self.mixed.marginal(s.h, self.choice)[1]
+        precision = gaussian.factor @ np.swapaxes(gaussian.factor, 1, 2)
+        remainder = np.setdiff1d(np.arange(s.z.shape[1]), self.common)
+        across = precision[:, remainder[:, None], self.common]
+        shift = np.einsum("nrc,nc->nr", across, moved - levels)
+        z = s.z.copy()
+        z[:, self.common] = moved
+        z[:, remainder] -= forward(precision[:, remainder[:, None], remainder], shift)
+        log_ratio += self._log_gaussian(gaussian, z) - self._log_gaussian(gaussian, s.z)
+        return s.h, z, log_ratio
+
+    def _log_gaussian(self, gaussian: Coefficients, z: Array) -> Array:
+        """Log density of z (n, Z) given h but for a constant, (n,)."""
+        e_z = np.einsum("nji,nj->ni", gaussian.factor, z - gaussian.mean)
+        return np.asarray(-0.5 * np.sum(e_z**2, axis=1))
+
+    def _learn_common(self) -> None:
+        """Take the last levels of what all tests share as the archive of their moves."""
+        if self.common.size:
+            draws = np.concatenate(self.levels[-WARM_UP:])
+            wide = fit_mixture(draws, self.rng, components=1)
+            self.archive = draws, fit_proposal(draws, COMPONENTS, self.rng, wide)
 
     def _autoregressive(self, e: Array, beta: Array | float) -> Array:
         """Standard normal numbers near others."""
@@ -294,12 +352,16 @@ class ExactSampler:
                 self.refit(*(np.concatenate(block) for block in zip(*proposals, strict=True)))
             if step % WARM_UP == 0:
                 self.proposals = []
+                self._learn_common()
         self.warming_up = False
         self.rates.clear()
         stride = max(1, self.state.x.size * limit // STORED)
-        h, z, x = [], [], []  # x in single precision
+        h: list[Array] = []
+        z: list[Array] = []
+        x: list[NDArray[np.float32]] = []
+        look = FIRST
         while True:
-            for _ in range(BLOCK):
+            while len(h) < look:
                 self.sweep()
                 h.append(self.state.h)
                 z.append(self.state.z)
@@ -312,6 +374,8 @@ class ExactSampler:
             report(len(h), convergence)
             if convergence.reached(r_hat, ess) or len(h) >= limit:
                 break
+            share = max(convergence.share(r_hat, ess), 1e-9)
+            look = min(limit, math.ceil(len(h) * np.clip(1.1 / share, 1.25, 2.0)))
         n_states = max(1, min(len(x), n_kept // (len(self.choice) // CHAINS)))
         steps = np.linspace(0, len(x) - 1, n_states).astype(int)
 

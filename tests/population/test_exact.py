@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy import special
 
+from mfd_bayes.calibration.proposal import Proposal
 from mfd_bayes.population.design import TestConditions, design_of
 from mfd_bayes.population.exact_sampler import ExactSampler
 from mfd_bayes.population.joint_fit import JointFit
@@ -47,23 +48,36 @@ class Campaign:
         density, _, _ = mixed.importance_sample(self.choice[0], np.random.default_rng(2))
         return mixed, [density] * CHAINS
 
-    def truth(self):
-        """Means and sds of log scatter, level and coordinates by quadrature."""
+    def integrals(self):
+        """Levels (L,), and moments 0 to 2 of the tests' coordinates at each, (H, L, 3, J).
+
+        The likelihoods are integrated over the deviations of each scatter, (H,), and level.
+        """
         x, level = np.linspace(-3.0, 3.0, 1501), np.linspace(-2.5, 2.5, 161)
         likelihoods = np.exp([f(x) for f in self.functions])
-        tau = self.mixed.tau(self.h)[:, 0]
-        weight = np.zeros((tau.size, level.size))
-        moment_1, moment_2 = (np.zeros((tau.size, level.size, len(self.mean))) for _ in "12")
-        prior = self.mixed.log_prior(self.h)
-        for i, t in enumerate(tau):
+        moments = []
+        for t in self.mixed.tau(self.h)[:, 0]:
             fine = max(t, 0.004)  # as narrow as the grid of x can hold
             normal = np.exp(-0.5 * ((x - level[:, None]) / fine) ** 2) / fine
-            integrals = [normal @ (likelihoods * x**k).T + 1e-300 for k in (0, 1, 2)]
-            weight[i] = np.log(integrals[0]).sum(axis=1) + prior[i] - 0.5 * level**2
-            moment_1[i], moment_2[i] = integrals[1] / integrals[0], integrals[2] / integrals[0]
-        weight, flat = special.softmax(weight), np.ones(weight.shape)
+            moments.append(
+                np.stack([normal @ (likelihoods * x**k).T + 1e-300 for k in (0, 1, 2)], axis=1)
+            )
+        return level, np.array(moments)
+
+    def likelihood_of_level(self):
+        """Levels, and their log likelihood without prior, scatter and coordinates integrated."""
+        level, moments = self.integrals()
+        log = np.log(moments[:, :, 0]).sum(axis=2) + self.mixed.log_prior(self.h)[:, None]
+        return level, special.logsumexp(log, axis=0)
+
+    def truth(self):
+        """Means and sds of log scatter, level and coordinates by quadrature."""
+        level, moments = self.integrals()
+        log = np.log(moments[:, :, 0]).sum(axis=2) + self.mixed.log_prior(self.h)[:, None]
+        weight = special.softmax(log - 0.5 * level**2)
+        flat, ratios = np.ones(weight.shape), moments[:, :, 1:] / moments[:, :, :1]
         pairs = [(v, v**2) for v in (self.h[:, [0]] * flat, level * flat)]
-        pairs += [(moment_1[..., j], moment_2[..., j]) for j in range(len(self.mean))]
+        pairs += [(ratios[..., 0, j], ratios[..., 1, j]) for j in range(len(self.mean))]
         means = np.array([np.sum(weight * v) for v, _ in pairs])
         squares = np.array([np.sum(weight * v) for _, v in pairs])
         return np.stack([means, np.sqrt(squares - means**2)], axis=1)
@@ -140,3 +154,77 @@ def test_accepting_every_move_would_be_seen(skewed):
     expected, gaussians = skewed.truth(), skewed.gaussians()
     means, _ = moments_of(skewed.sampler(seed=1, evaluated=gaussians))
     assert np.abs(errors(means, expected[:, 0])).max() > 8.0
+
+
+SLOPE = 2.0  # of the common quantity in what the tests see
+
+
+@pytest.fixture(scope="module")
+def common(skewed, priors):
+    """The same tests, which see the free quantity plus SLOPE times one that all of them share.
+
+    One test sees the shared one too, with a likelihood of two peaks.
+    """
+    laid = design_of(priors, ("Fc_fwd", "v_s"), [TestConditions(1.0)] * len(Y))
+    design = replace(laid, common=np.array([False, True]))
+    direction = np.array([1.0, SLOPE])
+    precision = skewed.precision * np.outer(direction, direction)
+    precision[0, 1, 1] += 10.0
+    mean = np.column_stack([skewed.mean[:, 0], np.zeros(len(Y))])
+    functions = [lambda x, f=f: f(x @ direction) for f in skewed.functions]
+    functions[0] = lambda x, f=functions[0]: f(x) + two_peaks(x[:, 1])
+    return SimpleNamespace(design=design, mean=mean, precision=precision, functions=functions)
+
+
+def two_peaks(level):
+    return np.logaddexp(-50.0 * (level + 0.4) ** 2, np.log(0.5) - 50.0 * (level - 0.4) ** 2)
+
+
+def common_draws(common, seed=0):
+    """Means and mean squares of the two levels by chain, (chain, 2) each."""
+    choice = np.zeros((CHAINS, len(common.design.laws)), dtype=np.intp)
+
+    def approximate(fit):
+        mixed = MixedModel(common.design, fit.mean, fit.precision)
+        density, _, _ = mixed.importance_sample(choice[0], np.random.default_rng(2))
+        return mixed, [density] * CHAINS
+
+    tests = [SimpleNamespace(log_likelihood=f) for f in common.functions]
+    fit = JointFit(tests, common.mean, common.precision, residual=None)
+    flags = np.zeros(common.mean.shape, dtype=bool)
+    sampler = ExactSampler(fit, approximate, flags, choice, np.random.default_rng(seed))
+    draws = sampler.run(0.0, np.inf, 1600, 10**9, lambda *_: None)
+    levels = draws.z[..., :2].reshape(CHAINS, -1, 2)
+    return levels.mean(axis=1), (levels**2).mean(axis=1)
+
+
+def common_truth(skewed):
+    """The same by quadrature, with the likelihood of their sum from the tests without it."""
+    grid, (seen, likelihood) = np.linspace(-2.5, 2.5, 801), skewed.likelihood_of_level()
+    level, shared = grid[:, None], grid[None]
+    log = np.interp(level + SLOPE * shared, seen, likelihood, left=-1e9, right=-1e9)
+    weight = special.softmax(log + two_peaks(shared) - 0.5 * level**2 - 0.5 * shared**2)
+    pairs = [np.array([np.sum(weight * level**k), np.sum(weight * shared**k)]) for k in (1, 2)]
+    return pairs[0], pairs[1]
+
+
+def test_what_all_tests_share_has_the_draws_of_quadrature(common, skewed):
+    means, squares = common_draws(common)
+    expected_means, expected_squares = common_truth(skewed)
+    assert np.abs(errors(means, expected_means)).max() < 4.0
+    assert np.abs(errors(squares, expected_squares)).max() < 4.0
+
+
+@pytest.mark.parametrize("term", ["mixture", "shift"])
+def test_common_moves_without_a_term_would_be_seen(common, skewed, monkeypatch, term):
+    """The mixture's density, or the Gaussian of what is shifted, left out of the ratio."""
+    if term == "mixture":
+        monkeypatch.setattr(Proposal, "log_density", lambda self, q: np.zeros(len(q)))
+    else:
+        monkeypatch.setattr(
+            ExactSampler, "_log_gaussian", lambda self, gaussian, z: np.zeros(len(z))
+        )
+    means, squares = common_draws(common)
+    expected_means, expected_squares = common_truth(skewed)
+    off = [errors(means, expected_means), errors(squares, expected_squares)]
+    assert np.abs(off).max() > 8.0
