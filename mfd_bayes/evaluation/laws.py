@@ -259,7 +259,8 @@ def _sentence(rows: Sequence[Row], campaign_law: str | None) -> str:
         names = (f"{row['law']} (Pareto k {row['pareto_k']:.2f})" for row in unreliable)
         caveat = f"; the score of {' and '.join(names)} cannot be trusted, so it gets no weight"
     if not trusted:
-        return f"the laws have no weights{caveat}."
+        mixed = "; predictions mix all laws with equal weights" if campaign_law == COMPARE else ""
+        return f"no law is known to predict best{mixed}{caveat}."
     best, *alternatives = trusted
     text = f"the {best['law']} law predicts levels that were left out best"
     ties = [row["law"] for row in alternatives if -row["difference"] <= row["difference_se"]]

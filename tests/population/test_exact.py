@@ -180,7 +180,7 @@ def two_peaks(level):
     return np.logaddexp(-50.0 * (level + 0.4) ** 2, np.log(0.5) - 50.0 * (level - 0.4) ** 2)
 
 
-def common_draws(common, seed=0):
+def common_draws(common, sweeps):
     """Means and mean squares of the two levels by chain, (chain, 2) each."""
     choice = np.zeros((CHAINS, len(common.design.laws)), dtype=np.intp)
 
@@ -192,8 +192,8 @@ def common_draws(common, seed=0):
     tests = [SimpleNamespace(log_likelihood=f) for f in common.functions]
     fit = JointFit(tests, common.mean, common.precision, residual=None)
     flags = np.zeros(common.mean.shape, dtype=bool)
-    sampler = ExactSampler(fit, approximate, flags, choice, np.random.default_rng(seed))
-    draws = sampler.run(0.0, np.inf, 1600, 10**9, lambda *_: None)
+    sampler = ExactSampler(fit, approximate, flags, choice, np.random.default_rng(0))
+    draws = sampler.run(0.0, np.inf, sweeps, 10**9, lambda *_: None)
     levels = draws.z[..., :2].reshape(CHAINS, -1, 2)
     return levels.mean(axis=1), (levels**2).mean(axis=1)
 
@@ -209,7 +209,7 @@ def common_truth(skewed):
 
 
 def test_what_all_tests_share_has_the_draws_of_quadrature(common, skewed):
-    means, squares = common_draws(common)
+    means, squares = common_draws(common, 800)
     expected_means, expected_squares = common_truth(skewed)
     assert np.abs(errors(means, expected_means)).max() < 4.0
     assert np.abs(errors(squares, expected_squares)).max() < 4.0
@@ -224,7 +224,7 @@ def test_common_moves_without_a_term_would_be_seen(common, skewed, monkeypatch, 
         monkeypatch.setattr(
             ExactSampler, "_log_gaussian", lambda self, gaussian, z: np.zeros(len(z))
         )
-    means, squares = common_draws(common)
+    means, squares = common_draws(common, 600)
     expected_means, expected_squares = common_truth(skewed)
     off = [errors(means, expected_means), errors(squares, expected_squares)]
     assert np.abs(off).max() > 8.0
