@@ -79,7 +79,7 @@ def prototype(folder, seed):
         write_campaign(folder, seed, MATRIX)
         path = folder / "campaign.toml"
         text = path.read_text(encoding="utf-8")
-        path.write_text(text.replace('"ou"', '"ou"\nrate = "50 Hz"\nnoise_check = false'), "utf-8")
+        path.write_text(text.replace('"ou"', '"ou"\nrate = "50 Hz"'), "utf-8")
         common.command("calibrate", path, "-o", folder / "out", "--effort", "quick", "--force")
     return mb.open_run(folder / "out")
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -19,7 +19,6 @@ from mfd_bayes.calibration.diagnostics import (
     measure_draws,
     replicate,
 )
-from mfd_bayes.calibration.noises import NOISES
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import PriorFile, units
 from mfd_bayes.calibration.proposal import Evidence, log_evidence, nearest_modes
@@ -36,25 +35,16 @@ if TYPE_CHECKING:
     from mfd_bayes.calibration.sampling import Draws
 
 Array = NDArray[np.float64]
-Bounds = tuple[float, float, float]
 
 LEAST_AFTER = 20  # fewest samples that are fitted after the samples that are discarded
 REPLICAS = 50  # posterior predictive records that are stored for each ensemble
-HALF = 0.5  # share of its 95 % interval by which a quantity may move
-QUANTILES = (0.025, 0.5, 0.975)
-FORMAL = frozenset({"gamma1", "gamma2", "start"})  # quantities that say nothing about the damper
-# enough for a median and an interval, not for their digits
-ROUGH = Effort(
-    name="other noise", ess=50, limit=1200, r_hat=1.1, length=1.0, ensembles=2, kept=1200, starts=16
-)
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
     """All that a test's calibration needs: small enough to send.
 
-    `file` is where in the run folder its posterior is stored, and `checks_noise` says whether the
-    test is fitted under other noises too.
+    `file` is where in the run folder its posterior is stored.
     """
 
     id: str
@@ -66,7 +56,6 @@ class Task:
     initial: str
     effort: str | Effort
     seed: tuple[int, ...]
-    checks_noise: bool = False
 
     @property
     def makes(self) -> tuple[str, ...]:
@@ -101,13 +90,7 @@ class Task:
                 self.seed,
                 report=lambda progress: observe(Step(self.id, "sampling", progress)),
             )
-            fits: list[OtherFit] = []
-            if self.checks_noise:
-                observe(Step(self.id, "checking the noise"))
-                for noise in dict.fromkeys(("ou", "staged", *NOISES)):
-                    if noise != self.noise:
-                        fits.append(fit_other(replace(self, noise=noise)))
-            save_test(folder / self.file, _stored_of(self, posterior, draws, fits))
+            save_test(folder / self.file, _stored_of(self, posterior, draws))
         except StoreError:
             raise
         except MfdError as error:
@@ -119,68 +102,10 @@ class Task:
         return Outcome(self.id, JobState.DONE, seconds)
 
 
-# --- other noises: does the noise model decide a test's parameters?
-
-
-@dataclass(frozen=True)
-class OtherFit:
-    """A test's parameters under another noise."""
-
-    noise: str
-    size: float = 0.0  # effective number of draws
-    quantities: Mapping[str, Bounds] = field(default_factory=dict)  # 2.5 %, 50 %, 97.5 %
-    seconds: float = 0.0  # processor time
-    error: str = ""  # why there is no fit, if there is none
-
-
-def moves(reference: Sequence[float], alternative: Sequence[float]) -> bool:
-    """Whether another noise moves a quantity: 2.5 %, 50 % and 97.5 % quantile under each.
-
-    Its median moves by more than `HALF` of its 95 % interval, or the intervals do not overlap.
-    """
-    (low, middle, high), (alt_low, alt_middle, alt_high) = reference, alternative
-    return abs(alt_middle - middle) > HALF * (high - low) or alt_low > high or alt_high < low
-
-
-def fit_other(task: Task) -> OtherFit:
-    """Parameters of a test under another noise; a fit that fails is a result too."""
-    from mfd_bayes.calibration.sampling import sample  # emcee takes long to import
-
-    began = time.process_time()
-    try:
-        posterior = task.posterior()
-        draws = sample(posterior, ROUGH, (*task.seed, 17, *task.noise.encode()))
-        if not draws.convergence.reached(ROUGH.r_hat, ROUGH.ess):
-            raise FitError("the walkers did not settle")
-        values = {name: column.reshape(-1) for name, column in draws.values.items()}
-        quantities = quantiles_of(posterior, values)
-    except (MfdError, np.linalg.LinAlgError) as error:
-        seconds = time.process_time() - began
-        return OtherFit(task.noise, error=str(error), seconds=seconds)
-    seconds = time.process_time() - began
-    return OtherFit(task.noise, draws.convergence.worst_ess, quantities, seconds)
-
-
-def quantiles_of(posterior: Posterior, values: Mapping[str, Array]) -> dict[str, Bounds]:
-    """2.5 %, 50 % and 97.5 % quantile of all that tells of the damper, and of the gap."""
-    model = posterior.model
-    formal = {*posterior.noise.parameters, "start", *(FORMAL & model.standard_names)}
-    columns = dict(zip(model.parameters, posterior.theta(values).T, strict=True)) | dict(values)
-    if (gap := model.gap(values)) is not None:
-        columns["gap"] = gap
-    return {
-        name: tuple(np.quantile(column, QUANTILES).tolist())
-        for name, column in columns.items()
-        if name not in formal and np.ptp(column) > 0.0
-    }
-
-
 # --- what is stored of a test, and read again
 
 
-def _stored_of(
-    task: Task, posterior: Posterior, draws: Draws, fits: list[OtherFit]
-) -> CalibratedTest:
+def _stored_of(task: Task, posterior: Posterior, draws: Draws) -> CalibratedTest:
     """Draws of all quantities, the model's parameters first, with replicated records."""
     values = {name: draws.theta[..., k] for k, name in enumerate(posterior.model.parameters)}
     values |= {name: draws.values[name] for name in draws.values if name not in values}
@@ -216,7 +141,6 @@ def _stored_of(
         "wall_time": draws.wall_time,
         "first": posterior.first,
         "convergence": convergence,
-        "other_noises": [asdict(fit) for fit in fits],
     }
     return CalibratedTest(
         values=values,

@@ -397,9 +397,6 @@ class General(TomlTable):
     installed package"""
     noise: NoiseName = "ou"
     """or `"iid"`, `"student_t"`, `"staged"`"""
-    noise_check: Annotated[bool, Field(strict=True)] | None = None
-    """whether each test is fitted under the other noises too, so that the report can say what
-    the choice decides; if it is not given, this is done at every effort but `quick`"""
     rate: Annotated[float, Field(gt=0, strict=True), _quantity("rate")] | None = None
     """sampling rate to which records are thinned, a number in Hz or `"64 Hz"`; by default a
     rate that resolves the gap"""
@@ -572,11 +569,6 @@ class CampaignFile(TomlTable):
         """The file with changed keys of a test."""
         tests = [t.model_copy(update=changes) if t.id == name else t for t in self.test]
         return self.model_copy(update={"test": tuple(tests)})
-
-    def checks_noise(self, effort: str) -> bool:
-        """Whether tests are fitted under other noises too: as the file says, else unless quick."""
-        setting = self.campaign.noise_check
-        return effort != "quick" if setting is None else setting
 
     def inference(self, effort: str, seed: Sequence[int], jobs: int = 1) -> InferenceSettings:
         """Settings of the inference of the population."""

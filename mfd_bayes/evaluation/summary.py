@@ -17,9 +17,8 @@ from mfd_bayes.calibration.diagnostics import (
     log_if_positive,
     replicate,
 )
-from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import SCALED, units
-from mfd_bayes.calibration.result import TestResult, moves, quantiles_of
+from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.evaluation import checks
 from mfd_bayes.evaluation.checks import (
@@ -80,7 +79,6 @@ _CORNER = (
     *("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3"),
     *("k_fwd", "k_bwd", "gap", "n", "ell"),
 )
-_FIRST = ("gap", "k3", "k2", "Fs_fwd", "Fs_bwd")
 """Quantities that matter most in design come first, after the slip forces."""
 
 
@@ -291,7 +289,6 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
         identifiability=identifiability,
         derived=property_rows(test.id, "calibrate", trace, derived, measured_properties(measured)),
         loop_estimates=checks.loop_estimates(predictive, properties),
-        noises=noise_rows(test.id, posterior, values, facts),
         modes=_modes(facts),
         stage=None if stage is None else stage[0],
         travel=None if stage is None else posterior.model.travel(*inputs)[0],
@@ -396,34 +393,6 @@ def _modes(facts: Mapping[str, Any]) -> tuple[Mapping[str, float], ...]:
 def _some(draws: Array) -> Array:
     """At most so many draws as figures show, evenly spaced; single precision saves memory."""
     return np.asarray(draws[:: -(-len(draws) // MAX_PLOTTED_DRAWS)], dtype=np.float32)
-
-
-def noise_rows(
-    test: str, posterior: Posterior, values: Mapping[str, Array], facts: Mapping[str, Any]
-) -> Rows:
-    """Every quantity of a test under its own noise and under others; empty where not checked.
-
-    `values` are the posterior draws of all quantities, (n,) each, and `facts` those of the test.
-    """
-    fits = [fit for fit in facts.get("other_noises", ()) if fit["quantities"]]
-    if not fits:
-        return ()
-    intervals, kinds = quantiles_of(posterior, values), {"gap": "in"} | units(posterior.model)
-    priority = (*posterior.model.slip_forces, *_FIRST)
-    ordered = sorted(
-        intervals, key=lambda name: priority.index(name) if name in priority else len(priority)
-    )
-    keys = ("lower", "median", "upper")
-    return tuple(
-        {"test": test, "name": name, "unit": kinds[name], "noise": posterior.noise.name}
-        | dict(zip(keys, intervals[name], strict=True))
-        | {"other": fit["noise"]}
-        | {f"other_{key}": value for key, value in zip(keys, alternative, strict=True)}
-        | {"noise_sensitive": moves(intervals[name], alternative)}
-        for fit in fits
-        for name in ordered
-        if None not in (alternative := fit["quantities"].get(name, [None]))
-    )
 
 
 # --- the verdict
@@ -664,14 +633,6 @@ def remarks(run: Run, tests: Sequence[TestView]) -> tuple[Message, ...]:
         )
     if "gamma1" in run.model.standard_names & {row["name"] for row in rows}:
         texts.append(f"gamma1 and gamma2 are {SCALE_NOTE}; gamma1 keeps its prior.")
-    skipped = [test.id for test in tests if test.rows and not test.noises]
-    if skipped:
-        tail = f" and {len(skipped) - 3} more" if skipped[3:] else ""
-        texts.append(
-            f"Not fitted under another noise model: {', '.join(skipped[:3])}{tail}. How far their "
-            "parameters depend on that choice is not known. The effort standard does it; at quick, "
-            "noise_check = true in [campaign] asks for it."
-        )
     followed = run.population.design.dependence
     texts += [
         f"Tests that were held out are predicted better if {s.quantity} depends on {s.covariate} "

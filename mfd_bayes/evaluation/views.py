@@ -142,12 +142,11 @@ class TestView:
     quantity with R-hat, ESS, contraction and its joint posterior with all tests; `corner` the
     quantities of the corner plot, in its order; `derived` the properties, with those of the record
     as recorded; `loop_estimates` what a plain rule reads off the loop and off replicated records;
-    `noises` every quantity under other noises, and whether it is `noise_sensitive`. Each of
-    `modes` has the median of each quantity and its "share" of the draws. `stage` (1 slip, 2 stick,
-    3 build-up, 4 gap) and `travel` in the gap since the last slip, in, are those of the posterior
-    medians at each sample, (T,); None where the model has no gap. `shares` of each source in the
-    variance say what makes the band of a predicted test wide, and `begun` where in its gap that
-    begins, in words.
+    each of `modes` has the median of each quantity and its "share" of the draws. `stage` (1 slip,
+    2 stick, 3 build-up, 4 gap) and `travel` in the gap since the last slip, in, are those of the
+    posterior medians at each sample, (T,); None where the model has no gap. `shares` of each source
+    in the variance say what makes the band of a predicted test wide, and `begun` where in its gap
+    that begins, in words.
     """
 
     __test__ = False
@@ -170,7 +169,6 @@ class TestView:
     travel: Array | None = None
     shares: Mapping[str, float] = field(default_factory=dict)
     loop_estimates: Rows = ()
-    noises: Rows = ()
     modes: tuple[Mapping[str, float], ...] = ()
     begun: str = ""
 

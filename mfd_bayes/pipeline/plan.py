@@ -233,7 +233,6 @@ def _task(
         initial=campaign.settings.campaign.initial,
         effort=options.effort,
         seed=(options.seed, int.from_bytes(digest[:8], "big")),
-        checks_noise=campaign.settings.checks_noise(options.effort),
     )
     posterior = task.posterior()
     draws = posterior.sample_prior(64, 0)

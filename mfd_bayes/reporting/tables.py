@@ -108,10 +108,6 @@ _COLUMNS = {
     "laws": f"test:group name:constant {_POSTERIOR}",
     "derived": f"test role name:quantity unit mean sd {_INTERVAL} measured note",
     "loop_estimates": f"test name:quantity unit value:loop_estimate {_INTERVAL} tolerance missed",
-    "noises": (
-        f"test name:quantity unit noise {_INTERVAL} other:other_noise "
-        "other_lower:other_q2.5 other_median:other_q50 other_upper:other_q97.5 noise_sensitive"
-    ),
     "law_scores": (
         "quantity law chosen elpd elpd_se difference:elpd_difference "
         "difference_se:elpd_difference_se weight pareto_k"
@@ -165,7 +161,6 @@ def report_frames(view: CampaignView) -> dict[str, pd.DataFrame]:
         "parameters": (row for test in tests for row in test.rows),
         "derived": (row for test in tests for row in test.derived),
         "loop_estimates": (row for test in tests for row in test.loop_estimates),
-        "noises": (row for test in tests for row in test.noises),
         "laws": view.law_rows,
         "law_scores": view.law_scores,
         "checks": view.checks,
@@ -316,32 +311,24 @@ def paper_sheets(view: CampaignView, symbols: Symbols) -> tuple[Sheet, Sheet]:
     tests = {test.id: test for test in view.tests if test.rows}
     levels = {n: view.system.actuation(t.trace, view.actuation_unit) for n, t in tests.items()}
     heads = {n: ", ".join(filter(None, (printable(n), level))) for n, level in levels.items()}
-    noises = [row for test in tests.values() for row in test.noises if row["noise_sensitive"]]
     rows = [row for test in tests.values() for row in test.rows]
     laws = [row | {"test": "all tests"} for row in view.law_rows]
     return (
-        _sheet("Table I: parameters of the tests", rows, noises, heads, symbols),
-        _sheet("Table II: constants of the laws", laws, (), {"all tests": "all tests"}, symbols),
+        _sheet("Table I: parameters of the tests", rows, heads, symbols),
+        _sheet("Table II: constants of the laws", laws, {"all tests": "all tests"}, symbols),
     )
 
 
 def _sheet(
     title: str,
     rows: Sequence[Row],
-    noises: Iterable[Row],
     heads: Mapping[str, str],
     symbols: Symbols,
 ) -> Sheet:
-    """Sheet of posteriors: the median, below it the interval and the values under other noises.
+    """Sheet of posteriors: the median, and below it the interval.
 
     Where there is a joint posterior of all tests, it comes first.
     """
-    noise_lines: dict[tuple[str, str], list[Line]] = {}
-    for row in noises:
-        name = row["other"].replace("{", "{{").replace("}", "}}")
-        figures = row["other_median"], row["other_lower"], row["other_upper"]
-        line = Line(f"{name}: {{}} [{{}}, {{}}]", figures)
-        noise_lines.setdefault((row["test"], row["name"]), []).append(line)
     cells: dict[tuple[str, str], dict[str, Cell]] = {}
     for row in rows:
         test_values = row["median"], row["lower"], row["upper"]
@@ -350,7 +337,6 @@ def _sheet(
         lines = [Line("{}", (middle,)), Line("[{}, {}]", tuple(ends))]
         if row.get("joint_conflict", False):
             lines.append(Line("alone: {} [{}, {}]", test_values, marked=True))
-        lines += noise_lines.get((row["test"], row["name"]), [])
         of_quantity = cells.setdefault((row["name"], row["unit"]), {})
         of_quantity[row["test"]] = Cell(tuple(lines), row["note"])
     sheet_rows = tuple(

@@ -56,7 +56,7 @@ ADVICE = ("next.csv", "next.json", "next.png")
 """What `mfd-bayes next` writes into a run folder where it is told no other place."""
 
 _ON_REQUEST = ("tables.docx", "tables.xlsx", "report.pdf", "datasheet.pdf")
-_TABLES = "parameters derived loop_estimates noises laws law_scores checks scores crossvalidation"
+_TABLES = "parameters derived loop_estimates laws law_scores checks scores crossvalidation"
 OUTPUTS = (
     *(f"{name}.csv" for name in (*_TABLES.split(), "tested_range")),
     *(f"{name}.{form}" for name in ("parameters", "laws") for form in ("json", "tex")),

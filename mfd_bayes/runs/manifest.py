@@ -172,7 +172,7 @@ class Finding:
 
 # --- a test
 
-FORMAT: Literal[3] = 3
+FORMAT: Literal[4] = 4
 """Format of a run folder, raised when another version cannot read what this one writes."""
 
 
@@ -302,15 +302,29 @@ class ComparisonRow:
 
 
 @dataclass(frozen=True)
+class ComparedEstimate:
+    """A quantity of a test under one of the models compared, in `unit`: 95 % interval, median."""
+
+    test: str
+    name: str
+    unit: str
+    model: str
+    lower: Figure
+    median: Figure
+    upper: Figure
+
+
+@dataclass(frozen=True)
 class Comparison:
     """Models of one campaign, compared: rows of every test, then of all; best model first.
 
     The sentence says which model the records favour, and whether its check figures speak
-    against it.
+    against it. The estimates are those of slip forces, stiffness of the build-up, and gap.
     """
 
     rows: tuple[ComparisonRow, ...]
     sentence: str
+    estimates: tuple[ComparedEstimate, ...] = ()
 
 
 # --- the manifest
@@ -327,7 +341,7 @@ class Manifest(Part):
     """Content of a run's manifest.json."""
 
     status: Status = Status.RUNNING
-    format: Literal[3] = FORMAT
+    format: Literal[4] = FORMAT
     title: str
     command: str
     started: str

@@ -51,7 +51,6 @@ def with_keys(manifest: Manifest, priors: PriorFile) -> Manifest:
         "noise": general.noise,
         "initial": general.initial,
         "rate": general.rate,
-        "checks_noise": settings.checks_noise(manifest.effort.name),
         "effort": asdict(manifest.effort),
         "seed": manifest.seed,
         "priors": {name: (p.family, dict(p.figures)) for name, p in priors.parameters.items()},

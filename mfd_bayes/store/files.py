@@ -199,9 +199,14 @@ def read_toml(path: Path) -> dict[str, Any]:
 RENAMED = {"fit": "window", "start": "initial", "spread": "sigma"}
 """Keys of files that have another name now."""
 
+REPLACED = {"noise_check": "use mfd-bayes compare CAMPAIGN.toml -o OUT --noises ou,iid,staged"}
+"""Keys of files that are no more, with what does their work."""
+
 
 def nearest(name: str, names: Collection[str]) -> str:
     """Hint for a name that is not among those known."""
+    if name in REPLACED:
+        return REPLACED[name]
     if RENAMED.get(name) in names:
         return f"it is {RENAMED[name]!r} now"
     matches = difflib.get_close_matches(name, names, n=1, cutoff=0.5)

@@ -1,19 +1,11 @@
 """Noises: densities beside those of their processes, and draws with the density's moments."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import stats
 
-from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.noises import NOISES, find_noise
-from mfd_bayes.calibration.priors import load_priors
-from mfd_bayes.calibration.result import Task, moves, quantiles_of
 from mfd_bayes.errors import FitError
-from mfd_bayes.friction.three_stage import LuGre
-from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.netcdf import load_test
 
 UNIFORM = np.arange(40) / 64.0
 IRREGULAR = np.sort(np.random.default_rng(0).uniform(0, 1.0, 40))
@@ -106,55 +98,3 @@ def test_a_noise_that_is_none_is_refused():
     for name in ("pink", ["ou"], None):
         with pytest.raises(FitError, match="ou, iid, student_t"):
             find_noise(name)
-
-
-# --- which quantities of a test its noise decides
-
-
-@pytest.mark.parametrize(
-    ("interval", "another", "expected"),
-    [
-        ((1.0, 2.0, 3.0), (1.0, 2.0, 3.0), False),
-        ((1.0, 2.0, 3.0), (1.4, 3.1, 5.0), True),
-        ((1.0, 2.9, 3.0), (3.01, 3.1, 3.2), True),  # the intervals do not overlap
-    ],
-)
-def test_a_quantity_moves_by_more_than_half_its_interval_or_leaves_it(interval, another, expected):
-    assert moves(interval, another) is expected
-
-
-def test_white_noise_decides_nothing_and_a_noise_without_priors_is_an_error_of_its_own(tmp_path):
-    time, file = np.arange(0, 5, 1 / 32), load_priors("brfd")
-    motion = np.sin(np.pi * time)
-    theta = np.array([[60.0, 0.02, 0.02, 2.2, 2.0, 1.9, 1.7, 0.5]])
-    force = LuGre().force(theta, Trace.from_arrays(time, motion, 0.03))[0]
-    force += np.random.default_rng(2).normal(0, 0.05, time.size)
-    quick = Effort(name="tiny", ess=30, limit=500, r_hat=1.2, length=1.0, ensembles=2, starts=3)
-    task = Task(
-        id="a",
-        file="a.nc",
-        trace=Trace.from_arrays(time, motion, 0.03, force),
-        priors=replace(
-            file, parameters={k: v for k, v in file.parameters.items() if k != "noise_build"}
-        ),
-        model="lugre",
-        noise="ou",
-        initial="sample",
-        effort=quick,
-        seed=(1, 2),
-        checks_noise=True,
-    )
-    assert not task.run(tmp_path, lambda _: None).error
-    stored = load_test(tmp_path / "a.nc")
-    staged, iid, student_t = stored.facts["other_noises"]
-    assert [fit["noise"] for fit in (staged, iid, student_t)] == ["staged", "iid", "student_t"]
-    assert "noise_build" in staged["error"]
-    assert staged["quantities"] == {}
-    quantiles = quantiles_of(task.posterior(), stored.values())
-    for fit in (iid, student_t):
-        assert not fit["error"]
-        assert fit["size"] >= 50.0
-        assert not {"noise_sd", "start", "gamma1"} & set(fit["quantities"])
-        for name in ("Fc_fwd", "Fc_bwd", "sigma0"):
-            assert not moves(quantiles[name], fit["quantities"][name]), name
-            assert fit["quantities"][name][1] == pytest.approx(quantiles[name][1], rel=0.05)

@@ -222,6 +222,7 @@ def test_an_old_key_is_refused_with_its_new_name(tmp_path):
     for table, line, new in (
         ("[campaign]", 'start = "mask"', "it is 'initial' now"),
         ("[[test]]", 'fit = "1 s to 2 s"', "it is 'window' now"),
+        ("[campaign]", "noise_check = true", "use mfd-bayes compare .* --noises"),
     ):
         path = tmp_path / "campaign.toml"
         path.write_text('[campaign]\ntitle = "t"\npriors = "mfd"\n[[test]]\nid = "a"\n')

@@ -10,7 +10,6 @@ import pytest
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.result import quantiles_of
 from mfd_bayes.errors import StoreError
 from mfd_bayes.evaluation.checks import (
     contradicted_order,
@@ -21,7 +20,7 @@ from mfd_bayes.evaluation.checks import (
     standing_out,
     uncommon_device_values,
 )
-from mfd_bayes.evaluation.summary import assess, noise_rows, verdict_sentences, views_of_tests
+from mfd_bayes.evaluation.summary import assess, verdict_sentences, views_of_tests
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.jobs import local
 from mfd_bayes.population.design import TestConditions
@@ -64,18 +63,6 @@ def test_a_slip_force_that_is_not_the_measured_one_fails():
         checks = slip_checks("a", POSTERIOR, values, measured_cycles(SLIP))
         assert [check.feature for check in checks] == names
         assert all(check.status == "fail" for check in checks)
-
-
-def test_what_another_noise_moves_is_named_first_by_its_weight_in_design():
-    draws = POSTERIOR.sample_prior(400, 0)
-    quantiles = quantiles_of(POSTERIOR, draws)
-    quantities = {name: list(bounds) for name, bounds in quantiles.items()}
-    moved = {name: [900.0, 950.0, 999.0] for name in ("sigma0", "k3", "Fc_bwd")}
-    fit = {"noise": "staged", "quantities": quantities | moved, "error": ""}
-    rows = noise_rows("80lb", POSTERIOR, draws, {"other_noises": [fit]})
-    decided = [row["name"] for row in rows if row["noise_sensitive"]]
-    assert decided == ["Fc_bwd", "k3", "sigma0"]
-    assert noise_rows("80lb", POSTERIOR, draws, {}) == ()
 
 
 # --- tests that stand apart from the others

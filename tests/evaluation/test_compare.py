@@ -143,6 +143,11 @@ def test_the_command_compares_and_samples_nothing_twice(tmp_path):
     laws = json.loads((folder / "bouc_wen" / "manifest.json").read_text())["settings"]["laws"]
     assert (laws["Fy_fwd"], laws["Fy_bwd"]) == ("power", "proportional")  # as F_c's
     assert (folder / "lugre" / "report.html").is_file()
+    estimates = json.loads((folder / "lugre" / "manifest.json").read_text())["comparison"]
+    estimates = {(e["model"], e["name"]): e["median"] for e in estimates["estimates"]}
+    assert {model for model, _ in estimates} == {"lugre", "bouc_wen"}
+    draws = mb.open_run(folder / "lugre").tests["slow"].draws
+    assert estimates["lugre", "Fc_fwd"] == pytest.approx(float(draws["Fc_fwd"].median()))
     mtimes = {p: p.stat().st_mtime_ns for p in folder.glob("*/tests/slow/posterior.nc")}
     table = (folder / "comparison.csv").read_bytes()
     said(*words, "--resume")

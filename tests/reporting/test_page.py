@@ -18,7 +18,14 @@ from mfd_bayes.console import say
 from mfd_bayes.evaluation.views import FREE_EXPONENT, PREDICTIVE, Check, Judgement
 from mfd_bayes.messages import Measure, Message
 from mfd_bayes.reporting.figures import draw_overview
-from mfd_bayes.runs.manifest import CheckStatus, Finding, Fitness
+from mfd_bayes.runs.manifest import (
+    CheckStatus,
+    ComparedEstimate,
+    Comparison,
+    ComparisonRow,
+    Finding,
+    Fitness,
+)
 from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.store.files import commented, quoted
 
@@ -150,11 +157,8 @@ def test_the_page_of_a_test_holds_all_that_the_summary_leaves_out(campaign, writ
     bad = Check(test.id, PREDICTIVE, "energy", 3.3, 4.1, CheckStatus.FAIL, "kip*in")
     k3 = {"test": test.id, "name": "k3", "unit": "kip/in"}
     k3 |= {"lower": 0.8, "median": 1.0, "upper": 1.2}
-    noise_row = k3 | {"noise": "ou", "other": "staged", "noise_sensitive": True}
-    noise_row |= {"other_lower": 39.0, "other_median": 42.2, "other_upper": 45.6}
     test = replace(
         test,
-        noises=(noise_row,),
         checks=(*test.checks, bad),
         loop_estimates=(k3 | {"value": 14.25, "tolerance": 0.3, "missed": True},),
         modes=({"k3": 20.5, "share": 0.6}, {"k3": 41.5, "share": 0.4}),
@@ -162,12 +166,40 @@ def test_the_page_of_a_test_holds_all_that_the_summary_leaves_out(campaign, writ
     files = written(replace(campaign, tests=(test, campaign.tests[1])))
     page = seen(files[OWN])
     for words in (
-        *("2 of 3 checks pass", "3.30 4.10 ✗ fail", "with staged 42.2 [39.0, 45.6]", "14.2 yes"),
+        *("2 of 3 checks pass", "3.30 4.10 ✗ fail", "14.2 yes"),
         *("2 sets of parameters", "60.0 %", "20.5 41.5", "1 of 2 directions", "r = −0.84"),
         *("mfd-bayes report OUT --tests", "over 2 full cycles"),
     ):
         assert words in page, words
     assert "Held out: predicted from the other tests" in seen(files["tests/held/page.html"])
+
+
+def test_what_was_compared_is_shown_for_all_tests_and_for_each(campaign, text, written):
+    assert "Which model or noise" not in text
+    score = {"cycles": 6, "elpd": 30.0, "elpd_se": 2.0, "p_loo": 3.0, "worst_k": 0.5, "bad": 0.0}
+    score |= {"unsettled": 0.0, "difference_se": 1.5, "rrse": 0.1, "log_evidence": 8.0}
+    score |= {"log_evidence_se": 0.1, "evidence_k": 0.4, "evidence_trusted": True}
+    comparison = Comparison(
+        tuple(
+            ComparisonRow(subject=subject, model=noise, difference=difference, **score)
+            for subject in ("p800_f0.25", "all")
+            for noise, difference in (("staged", 0.0), ("ou", -4.0))
+        ),
+        "The records favour staged over ou.",
+        tuple(
+            ComparedEstimate("p800_f0.25", "k3", "kip/in", noise, median - 2.0, median, median + 3)
+            for noise, median in (("staged", 42.2), ("ou", 31.0))
+        ),
+    )
+    files = written(replace(campaign, comparison=comparison))
+    page = seen(files["report.html"])
+    assert "The records favour staged over ou." in page
+    assert "staged 30.00 0.000 ± 1.5 8.000 ± 0.10 0.100" in page
+    assert "ou 30.00 −4.000 ± 1.5" in page
+    page = seen(files[OWN])
+    assert "kip/in staged 40.2 42.2 45.2" in page
+    assert "kip/in ou 29.0 31.0 34.0" in page
+    assert "Under each model" not in seen(files["tests/held/page.html"])
 
 
 def test_laws_are_compared_in_words(campaign, text, written):

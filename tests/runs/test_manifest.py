@@ -60,7 +60,7 @@ def test_a_file_that_was_changed_or_is_missing_or_a_link_is_refused(out, tmp_pat
                 {"template": "{x}", "values": {"x": {"values": [], "unit": "in", "digits": 3}}},
             )
         ),
-        (("format",), 1, "format 1.*reads format 3 only"),
+        (("format",), 1, "format 1.*reads format 4 only"),
         (("status",), "running", "not finished; finish it with: mfd-bayes calibrate"),
     ],
 )

@@ -1,19 +1,14 @@
-"""Whole posteriors: two modes, predictive checks, other noises, and a real record."""
+"""Whole posteriors: two modes, predictive checks, and a real record."""
 
 import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Effort, check_predictive, measure_draws, replicate
-from mfd_bayes.calibration.noises import OU
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.calibration.proposal import find_modes, maximize, nearest_modes
-from mfd_bayes.calibration.result import Task, moves, quantiles_of
 from mfd_bayes.calibration.sampling import sample, sample_density
-from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.record import read_record
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.store.netcdf import load_test
 
 pytestmark = pytest.mark.slow
 
@@ -110,42 +105,6 @@ def test_the_model_that_made_the_record_passes():
 
 def test_a_model_without_the_gap_fails():
     assert "force at mid-gap, kip" in extremes(checks("lugre", "iid"))
-
-
-# --- another noise
-
-TIME = np.arange(0, 8, 1 / 48)
-MOTION = np.sin(np.pi * TIME)
-THETA = np.array([[20, 0.02, 0.02, 2.2, 2.0, 1.9, 1.7, 2.5, 30, 0.2, 0.1, 1, 0.04, 1.0]])
-SHORTER = Effort(name="short", ess=60, limit=700, r_hat=1.1, length=1.5, ensembles=2, starts=4)
-
-
-def misfit_record():
-    """Three stages with correlated noise, and what they do not have.
-
-    A slip force that falls by 30 % along a stroke, and a spike of 0.5 kip after build-up.
-    """
-    quiet = Trace.from_arrays(TIME, MOTION, 0.03)
-    force, travel = ThreeStage().force(THETA, quiet)[0], ThreeStage().travel(THETA, quiet)[0]
-    values = {"noise_sd": np.array([0.1]), "noise_time": np.array([0.1])}
-    noise = OU().draw(np.random.default_rng(1), TIME, values)[0]
-    noise -= 0.3 * force * np.clip(travel - 0.3, 0, 2) / 1.7
-    spike = 0.5 * np.exp(-np.abs(travel - 0.35) / 0.03) * (travel > 0.2)
-    return Trace.from_arrays(TIME, MOTION, 0.03, force + noise + spike * np.sign(force))
-
-
-def test_noise_decides_slip_force_and_gap_where_the_model_cannot_follow(tmp_path):
-    how = (load_priors("brfd"), "three_stage", "ou", "sample", SHORTER, (1, 1))
-    task = Task("a", "a.nc", misfit_record(), *how, checks_noise=True)
-    assert not task.run(tmp_path, lambda _: None).error
-    stored = load_test(tmp_path / "a.nc")
-    quantiles, decided = quantiles_of(task.posterior(), stored.values()), {}
-    for fit in stored.facts["other_noises"]:
-        assert not fit["error"]
-        moved = {name for name in quantiles if moves(quantiles[name], fit["quantities"][name])}
-        decided[fit["noise"]] = moved
-    assert {"Fc_fwd", "Fc_bwd"} <= decided["staged"]
-    assert {"Fc_fwd", "Fc_bwd", "k3", "gap"} <= decided["iid"]
 
 
 # --- real records

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,14 +12,23 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.cycles import cycle_log_likelihood, find_cycles
-from mfd_bayes.calibration.diagnostics import Effort, measure_draws, psis, tempering
+from mfd_bayes.calibration.diagnostics import (
+    Effort,
+    Interval,
+    intervals_of,
+    measure_draws,
+    psis,
+    tempering,
+)
 from mfd_bayes.calibration.noises import NOISES
 from mfd_bayes.calibration.posterior import Posterior
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.proposal import Evidence, fit_mixture, join_evidence
 from mfd_bayes.calibration.result import Task, TestResult
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.friction import models
 from mfd_bayes.runs.manifest import (
+    ComparedEstimate,
     Comparison,
     ComparisonRow,
 )
@@ -111,6 +120,8 @@ class Validation:
     spread: float
     short: tuple[str, ...]  # tests whose sampling missed its targets
     evidence: Evidence
+    # unit, and median and 95 % interval, of what the choice of a model may decide
+    estimates: Mapping[str, tuple[str, Interval]] = field(default_factory=dict)
 
     @property
     def trusted(self) -> pd.Series[bool]:
@@ -153,7 +164,17 @@ def comparison_of(
     ]
     if lost:
         sentences.append(f"Left out, since not every model could be calibrated: {', '.join(lost)}.")
-    return Comparison((*rows, *overall), " ".join(sentences))
+    estimates = [
+        ComparedEstimate(test, name, unit, model, lower, median, upper)
+        for test in tests
+        for name in dict.fromkeys(
+            n for of_tests in scores.values() for n in of_tests[test].estimates
+        )
+        for model in (row.model for row in overall)
+        if name in (of_model := scores[model][test].estimates)
+        for unit, (median, lower, upper) in [of_model[name]]
+    ]
+    return Comparison((*rows, *overall), " ".join(sentences), tuple(estimates))
 
 
 def _joined(validations: Sequence[Validation]) -> Validation:
@@ -189,7 +210,19 @@ def validate(test: TestResult, effort: Effort) -> Validation:
         spread=float(observed.size * observed.var()),
         short=() if converged else (test.id,),
         evidence=test.log_evidence(),
+        estimates=_estimates(posterior, values),
     )
+
+
+def _estimates(
+    posterior: Posterior, values: Mapping[str, Array]
+) -> dict[str, tuple[str, Interval]]:
+    """Unit and interval of slip forces, stiffness of the build-up, and gap, where they are."""
+    model, gap = posterior.model, posterior.model.gap(values)
+    names = [name for name in (*model.slip_forces, "k3") if name in values]
+    columns = {name: values[name] for name in names} | ({} if gap is None else {"gap": gap})
+    unit_of = {"gap": "in"} | units(model)
+    return {name: (unit_of[name], bounds) for name, bounds in intervals_of(columns).items()}
 
 
 def _rows(subject: str, scores: Mapping[str, Validation]) -> list[ComparisonRow]:
