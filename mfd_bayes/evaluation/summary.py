@@ -237,7 +237,7 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
     theta = posterior.theta(prior_draws)
     prior = prior_draws | dict(zip(posterior.model.parameters, theta.T, strict=True))
     rows = _parameters(test, values, prior, facts["convergence"])
-    draws = {name: stored.draws[name].to_numpy() for name in posterior.names}
+    draws = {name: stored.posterior.arrays[name] for name in posterior.names}
     identifiability = identify(posterior, draws, prior)
     measured = measured_of(manifest, test.id)
     properties = properties_of(trace, replicas.observed, smooth=replicas.force)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from mfd_bayes.applications.next_test.advice import AdviceInWords
-from mfd_bayes.applications.next_test.next_test import next_test
 from mfd_bayes.applications.properties.datasheet import datasheet, parse_condition
 from mfd_bayes.errors import MfdError, ReportError
 from mfd_bayes.evaluation.summary import assess, verdicts
@@ -65,6 +63,9 @@ def write_report(
     view = replace(assess(run, processes), metric=system.name == SI.name)
     additions: list[Addition] = []
     if options.next_test:
+        from mfd_bayes.applications.next_test.advice import AdviceInWords
+        from mfd_bayes.applications.next_test.next_test import next_test
+
         observe(Step("report", "which test next"))
         advice = AdviceInWords(next_test(run), view.system, view.actuation_unit)
         additions = [advice.section()]
