@@ -25,7 +25,7 @@ from mfd_bayes.evaluation.summary import assess, noise_rows, verdict_sentences, 
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.jobs import local
 from mfd_bayes.population.design import TestConditions
-from mfd_bayes.records.loops import measured_cycles
+from mfd_bayes.records.cycles import measured_cycles
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import Symbols
 from mfd_bayes.reporting.tables import paper_sheets
