@@ -452,21 +452,12 @@ class Axes:
             return factor(unit, role, of=of)
         return check_unit(unit, axis, of)
 
-    def has(self, name: str) -> bool:
-        """Whether a property of a loop, such as "slip_fwd", makes sense."""
-        if name == "c_eq" and not self.timed:
-            return False
-        if self.of_damper:
-            return True
-        if name.startswith(("energy", "effective_damping", "c_eq")):
-            return self.energetic
-        return not name.startswith(("slip", "gap", "build_up", "C_"))
-
     @cached_property
     def energetic(self) -> bool:
         """Whether the area of a loop is an energy, or one of a unit of volume, area or length."""
         area = f"{self.motion.unit}*({self.response.unit})"
-        return any(measures(area, energy) for energy in ("J", "J/m", "J/m^2", "J/m^3"))
+        energies = ("J", "J/m", "J/m^2", "J/m^3")
+        return self.of_damper or any(measures(area, energy) for energy in energies)
 
     def text(self, words: str) -> str:
         """A sentence of the package about a damper in the names of this motion and response."""

@@ -23,7 +23,7 @@ import pandas as pd
 
 from mfd_bayes.applications.comparison.crossvalidation import folds_of
 from mfd_bayes.evaluation.bounds import design_rows
-from mfd_bayes.evaluation.properties import measured_of, measured_properties
+from mfd_bayes.evaluation.properties import measured_of
 from mfd_bayes.runs.run import Run
 
 PROBABILITIES = (0.5, 0.8, 0.95)
@@ -43,7 +43,7 @@ def bounded(run: Run, effort: str) -> Iterator[dict]:
     for fold in folds_of(run, "level", effort):
         subset = common.without(run, fold.kept, effort, (run.manifest.seed, 2))
         for name in fold.left_out:
-            values = measured_properties(measured_of(run.manifest, name))
+            values = measured_of(run.manifest, name).of_test()
             trace = replace(run.tests[name].trace, force=None)
             for probability in PROBABILITIES:
                 rows = {(r["name"], r["basis"]): r for r in design_rows(subset, trace, probability)}

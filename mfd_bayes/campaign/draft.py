@@ -33,8 +33,8 @@ from mfd_bayes.campaign.schema import RESERVED
 from mfd_bayes.errors import CampaignError, MfdError, RecordError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import find_model
+from mfd_bayes.records.cycles import Scales, middle, scales_of
 from mfd_bayes.records.data_quality import contradictions, length_in_name, runs_backward
-from mfd_bayes.records.loops import Scales, middle, scales_of
 from mfd_bayes.records.readers import SUFFIXES, read_table
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.table import listed

@@ -28,6 +28,7 @@ from mfd_bayes.calibration.noises import NOISES
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.population.design import complete_laws, default_laws
+from mfd_bayes.records import cycles
 from mfd_bayes.records.record import NO_ACTUATION, Source, Subtracted, step_of
 from mfd_bayes.records.table import COLUMNS, NAME
 from mfd_bayes.units import (
@@ -46,15 +47,11 @@ Role = Literal["calibrate", "validate"]
 
 TOLERANCES: Mapping[str, tuple[float, str]] = MappingProxyType(
     {
-        "energy": (0.05, "energy of a cycle at full stroke, and in all"),
-        "peak": (0.15, "peak forces"),
+        **cycles.TOLERANCES,
         "residual": (0.3, "rms residual"),
         "correlation": (0.2, "correlation of neighbouring residuals, as a difference (at most 1)"),
         "mid_gap": (0.1, "force at mid-gap, of half the range of the force"),
         "coverage": (0.1, "by how much fewer samples lie inside a band than its probability"),
-        "slip_force": (0.1, "slip force, against the one read off the loop"),
-        "build_up": (0.3, "stiffness where the force comes back, likewise"),
-        "gap": (0.15, "width of the gap, likewise"),
     }
 )
 """By how much a model may miss a figure of a test, as a share, and what the figure is."""
@@ -83,16 +80,7 @@ DEPENDENCE: Mapping[str, str] = MappingProxyType(
 )
 
 ACCEPTANCE: Mapping[str, str] = MappingProxyType(
-    {
-        "all": "every quantity that has no limit of its own",
-        "slip": "slip force, forward and backward",
-        "build_up": "stiffness where the force comes back",
-        "gap": "width of the gap",
-        "peak": "peak forces",
-        "energy": "energy of a cycle at full stroke",
-        "stiffness": "effective stiffness",
-        "damping": "effective damping",
-    }
+    {"all": "every quantity that has no limit of its own", **cycles.LIMITS}
 )
 """What a device may deviate in from the nominal value of `accept`, as a share."""
 

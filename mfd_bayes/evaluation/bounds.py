@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mfd_bayes.evaluation.properties import (
-    UNITS,
     Array,
+    applicable,
     cycle_energies,
     properties_of,
     without_noise,
@@ -18,6 +18,7 @@ from mfd_bayes.evaluation.scores import Rows
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.population.design import LEVELS, levels_of, setting_of, with_zeros
 from mfd_bayes.population.peaks import certain
+from mfd_bayes.records.cycles import PROPERTIES
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 
@@ -41,10 +42,7 @@ BASES: Mapping[str, str] = {
 DESIGN_DRAWS = 1000  # draws of each basis: few would leave the bounds to chance
 NOT_KNOWN = "not known: the calibrated tests are of one device"
 
-DESIGN_PROPERTIES = (
-    *("slip_fwd", "slip_bwd", "energy_per_cycle", "effective_stiffness", "effective_damping"),
-    *("c_eq", "peak_fwd", "peak_bwd", "gap"),
-)
+_OF_DESIGN = sorted((p for p in PROPERTIES.values() if p.design), key=lambda p: p.design)
 NEW = "\x00another"  # a session or a device that no campaign can declare
 
 
@@ -83,14 +81,15 @@ def drawn_properties(
         excess = certain(peaks) if basis == "mean" else peaks
         quiet = bands["new_test"] if basis == "observation" else several
         band_properties = [
-            properties_of(trace, band.draws, excess, smooth=without_noise(band, test))
+            applicable(
+                properties_of(trace, band.draws, excess, smooth=without_noise(band, test)), axes
+            )
             | {"energy": cycle_energies(trace, band.draws)}
             for band, test in zip(several, quiet, strict=True)
         ]
         properties[basis] = {
             name: np.concatenate([values[name] for values in band_properties])
-            for name in (*DESIGN_PROPERTIES, "energy")
-            if axes.has(name)
+            for name in band_properties[0]
         }
     return properties
 
@@ -102,7 +101,8 @@ def bounds_of(draws: Mapping[str, Mapping[str, Array]], probability: float, note
     another device.
     """
     rows = []
-    for name in DESIGN_PROPERTIES:
+    for quantity in _OF_DESIGN:
+        name = quantity.name
         mean = draws["mean"].get(name, np.empty(0))
         if not np.any(np.isfinite(mean)):  # the motion has no full cycle
             continue
@@ -112,7 +112,7 @@ def bounds_of(draws: Mapping[str, Mapping[str, Array]], probability: float, note
                 continue
             basis_note = note if basis == ANOTHER else ""
             rows.append(
-                {"name": name, "unit": UNITS[name], "basis": basis, "of": BASES[basis]}
+                {"name": name, "unit": quantity.unit, "basis": basis, "of": BASES[basis]}
                 | bounds(mean, values, probability)
                 | {"note": basis_note if basis in draws else NOT_KNOWN}
             )

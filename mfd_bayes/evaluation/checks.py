@@ -21,9 +21,6 @@ from mfd_bayes.calibration.priors import units
 from mfd_bayes.campaign.schema import complete_tolerances
 from mfd_bayes.evaluation.properties import (
     EXTREME,
-    TOLERANCE_OF,
-    UNITS,
-    measured_properties,
     share_above,
 )
 from mfd_bayes.evaluation.scores import Row, Rows
@@ -43,7 +40,7 @@ from mfd_bayes.evaluation.views import (
 from mfd_bayes.messages import Measure, Message
 from mfd_bayes.population.bands import PredictionOptions
 from mfd_bayes.population.design import TestConditions
-from mfd_bayes.records.loops import MeasuredCycles
+from mfd_bayes.records.cycles import PROPERTIES, TOLERANCES, MeasuredCycles
 from mfd_bayes.runs.manifest import CheckStatus, Finding
 from mfd_bayes.runs.run import Run, sequence_of
 
@@ -69,16 +66,12 @@ SECOND_MODE, SMALLEST_MODE = 0.1, 0.01
 which a further mode is not spoken of."""
 
 _FEATURES = {
-    "energy_per_cycle": ("energy per cycle", PREDICTIVE),
-    "total_energy": ("energy in all", PREDICTIVE),
-    "peak_fwd": ("peak force forward", PREDICTIVE),
-    "peak_bwd": ("peak force backward", PREDICTIVE),
-    "slip_fwd": ("slip force forward", LOOP_ESTIMATE),
-    "slip_bwd": ("slip force backward", LOOP_ESTIMATE),
-    "build_up_slope": ("build-up slope", LOOP_ESTIMATE),
-    "gap": ("gap", LOOP_ESTIMATE),
+    quantity.feature: quantity
+    for kind in TOLERANCES
+    for quantity in PROPERTIES.values()
+    if quantity.tolerance == kind
 }
-"""Feature in words, and check, by property."""
+"""Property by its words as a feature."""
 
 
 def convergence_checks(test: str, rows: Iterable[Row], effort: Effort) -> list[Check]:
@@ -129,10 +122,10 @@ def predictive_checks(
         feature, _, unit = check.name.partition(", ")
         sizes = check.observed, check.expected, check.size, check.p_value
         checks.append(feature_check(test, feature, unit or "1", *sizes, allowed[check.kind]))
-    observed = measured_properties(measured)
-    axes = posterior.model.axes
-    for name, (feature, check_name) in _FEATURES.items():
-        if not axes.has(name):
+    observed = measured.of_test()
+    for feature, quantity in _FEATURES.items():
+        name = quantity.name
+        if not quantity.applies(posterior.model.axes):
             continue
         values, value = properties[name][np.isfinite(properties[name])], observed[name]
         if not values.size or not np.isfinite(value):
@@ -141,10 +134,10 @@ def predictive_checks(
             continue  # it says the same as the energy of a cycle
         expected = float(values.mean())
         difference = (expected - value) / max(abs(value), 1e-12)
-        tolerance = allowed[TOLERANCE_OF.get(name, "energy")]
-        p_value = share_above(values, value)
-        figures = UNITS[name], value, expected, difference, p_value, tolerance, check_name
-        checks.append(feature_check(test, feature, *figures))
+        tolerance, p_value = allowed[quantity.tolerance], share_above(values, value)
+        figures = quantity.unit, value, expected, difference, p_value, tolerance
+        check_name = LOOP_ESTIMATE if quantity.estimate else PREDICTIVE
+        checks.append(feature_check(test, feature, *figures, check_name))
     return checks
 
 
@@ -217,11 +210,10 @@ def slip_checks(
 
 def loop_estimates(checks: Iterable[Check], properties: Mapping[str, Array]) -> Rows:
     """What is read off the loop of a test, beside the figures of replicated records."""
-    names = {feature: name for name, (feature, *_) in _FEATURES.items()}
     estimates = []
     for check in checks:
-        if check.check == LOOP_ESTIMATE and check.feature in names:
-            values = properties[names[check.feature]]
+        if check.check == LOOP_ESTIMATE and check.feature in _FEATURES:
+            values = properties[_FEATURES[check.feature].name]
             low, middle, high = np.nanquantile(values, [0.025, 0.5, 0.975]).tolist()
             estimates.append(
                 {"test": check.test, "name": check.feature, "unit": check.unit}

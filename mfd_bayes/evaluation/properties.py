@@ -9,18 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import derive_from_parameters
-from mfd_bayes.campaign.schema import TOLERANCES, CampaignFile
+from mfd_bayes.campaign.schema import CampaignFile
 from mfd_bayes.evaluation.scores import Rows, spread_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.peaks import NO_EXCESS, SIDES, Peaks, largest_speed
-from mfd_bayes.records.loops import (
+from mfd_bayes.records.cycles import (
+    PROPERTIES,
+    RECORD,
+    SMALLER,
+    TOLERANCES,
     MeasuredCycles,
     cycle_values,
-    find_loops,
-    mean_of,
+    means_of_test,
     measured_cycles,
 )
+from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.manifest import Manifest
@@ -35,51 +39,13 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-UNITS: Mapping[str, str] = {
-    **dict.fromkeys(("slip_fwd", "slip_bwd", "peak_fwd", "peak_bwd"), "kip"),
-    "effective_stiffness": "kip/in",
-    "effective_damping": "1",
-    **dict.fromkeys(("energy_per_cycle", "energy_of_ramps", "total_energy"), "kip*in"),
-    "c_eq": "kip*s/in",
-    "build_up_slope": "kip/in",
-    **dict.fromkeys(("gap", "slip_to_slip"), "in"),
-    **dict.fromkeys(("C_fwd", "C_bwd"), "1"),
-}
-"""Internal unit of every property of a test, in the order of tables."""
-
 EXTREME = 0.005
 """Share of draws on one side of a measured value at which the value is extreme among them."""
-
-TOLERANCE_OF: Mapping[str, str] = {
-    **dict.fromkeys(("peak_fwd", "peak_bwd"), "peak"),
-    **dict.fromkeys(("slip_fwd", "slip_bwd"), "slip_force"),
-    "build_up_slope": "build_up",
-    "gap": "gap",
-}
-"""Kind of the tolerance of a property; of others that of an energy."""
-
-_MEANS = (
-    *("energy_per_cycle", "energy_of_ramps", "effective_stiffness", "effective_damping", "c_eq"),
-)
-_OF_CYCLES = (
-    *("slip_fwd", "slip_bwd", "effective_stiffness", "effective_damping", "c_eq"),
-    *("build_up_slope", "gap"),
-)
 
 
 def measured_of(manifest: Manifest, name: str) -> MeasuredCycles:
     """Measured cycles of a test, as recorded."""
     return MeasuredCycles.from_content(manifest.tests[name].measured)
-
-
-def measured_properties(cycles: MeasuredCycles) -> dict[str, float]:
-    """Measured value of each property: `MeasuredCycles.of_test`, and energies of all."""
-    estimates, ramps = cycles.of_test(), cycles.energy[~cycles.full_stroke]
-    return {name: estimates[name] for name in (*_OF_CYCLES, "peak_fwd", "peak_bwd")} | {
-        "energy_per_cycle": estimates["energy"],
-        "energy_of_ramps": float(ramps.mean()) if ramps.size else float("nan"),
-        "total_energy": cycles.total_energy,
-    }
 
 
 def without_noise(band: Band, test: Band) -> Array:
@@ -95,19 +61,15 @@ def without_noise(band: Band, test: Band) -> Array:
 def properties_of(
     trace: Trace, force: Array, peaks: Peaks = NO_EXCESS, *, smooth: Array | None = None
 ) -> dict[str, Array]:
-    """Properties under a motion of forces (n, T), kip, by name, (n,) each, in `UNITS`.
+    """Properties under a motion of forces (n, T), kip, by name, (n,) each.
 
     Peaks are those that a load cell would see, by the excess `peaks` over those of the forces
     without noise, `smooth`, by default the same forces.
     """
-    full, values = find_loops(trace).strong, cycle_values(trace, force)
-    properties = {name: mean_of(values[name], full) for name in _OF_CYCLES}
-    properties["energy_per_cycle"] = mean_of(values["energy"], full)
-    properties["energy_of_ramps"] = mean_of(values["energy"], ~full)
-    properties["total_energy"] = np.asarray(np.trapezoid(force, trace.displacement, axis=1))
+    properties = means_of_test(cycle_values(trace, force), find_loops(trace).strong)
     if partial_strokes(trace) > PARTIAL:  # what a cycle at full stroke has, such a motion has not
-        of_cycles = (*_OF_CYCLES, "energy_per_cycle", "energy_of_ramps")
-        properties |= {name: np.full(len(force), np.nan) for name in of_cycles}
+        properties = {name: np.full(len(force), np.nan) for name in properties}
+    properties["total_energy"] = np.asarray(np.trapezoid(force, trace.displacement, axis=1))
     rng, speed = np.random.default_rng(0), largest_speed(trace)
     quiet = force if smooth is None else smooth
     for side, sign in SIDES.items():
@@ -174,14 +136,18 @@ def predicted_rows(
     else:
         first_run, draws = source, device_properties(source, trace, band, test)
     cycles = None if record is None else measured_cycles(record.trace())
-    measured = {} if cycles is None else measured_properties(cycles)
+    measured = {} if cycles is None else cycles.of_test()
     draws = applicable(draws, first_run.system.axes)
     return property_rows("", band.kind, trace, draws, measured, band.probability)
 
 
 def applicable(properties: Mapping[str, Array], axes: Axes) -> dict[str, Array]:
     """Those of the properties that make sense for a model's motion and response."""
-    return {name: values for name, values in properties.items() if axes.has(name)}
+    return {
+        name: values
+        for name, values in properties.items()
+        if name not in PROPERTIES or PROPERTIES[name].applies(axes)
+    }
 
 
 def property_rows(
@@ -192,27 +158,27 @@ def property_rows(
     measured: Mapping[str, float],
     probability: float = 0.95,
 ) -> Rows:
-    """Rows of properties, in the order of `UNITS`, from draws (n,) by name.
+    """Rows of properties, in the order of `PROPERTIES`, from draws (n,) by name.
 
     `role` is a test's, or the kind of a prediction.
     """
     full, tail = find_loops(trace).strong, 0.5 * (1.0 - probability)
     strong, ramps = int(np.count_nonzero(full)), int(np.count_nonzero(~full))
     rows = []
-    for name, unit in UNITS.items():
-        if name not in draws or (name == "energy_of_ramps" and not ramps):
+    for name, quantity in PROPERTIES.items():
+        of_ramps = quantity.extent == SMALLER
+        if name not in draws or (of_ramps and not ramps):
             continue
         if not np.any(np.isfinite(draws[name])):  # the motion does not have it
             continue
         note = ""
-        if name in _MEANS:
-            of_ramps = name == "energy_of_ramps"
+        if quantity.of_cycle and not (quantity.estimate or quantity.extent == RECORD):
             extent, count = ("of smaller", ramps) if of_ramps else ("at full", strong)
             cycles = f"{count} full cycle{'' if count == 1 else 's'}"
             note = f"over {cycles} {extent} stroke" if count else "the motion has no full cycle"
         value = measured.get(name, float("nan"))
         rows.append(
-            {"test": test, "role": role, "name": name, "unit": unit}
+            {"test": test, "role": role, "name": name, "unit": quantity.unit}
             | spread_of(draws[name], tail)
             | {"measured": value, "note": note, "missed": is_missed(draws[name], value, name)}
         )
@@ -221,7 +187,7 @@ def property_rows(
 
 def is_missed(values: Array, measured: float, name: str) -> bool:
     """Whether a measured property is extreme among draws (n,), and beyond its tolerance."""
-    tolerance, _ = TOLERANCES[TOLERANCE_OF.get(name, "energy")]
+    tolerance, _ = TOLERANCES[PROPERTIES[name].tolerance or "energy"]
     finite = values[np.isfinite(values)]
     if not finite.size or not np.isfinite(measured):
         return False

@@ -35,7 +35,6 @@ from mfd_bayes.evaluation.properties import (
     applicable,
     device_properties,
     measured_of,
-    measured_properties,
     of_parameters,
     properties_of,
     property_rows,
@@ -243,7 +242,7 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
     properties = properties_of(trace, replicas.observed, smooth=replicas.force)
     for side, sign in SIDES.items():
         filtered = float(np.max(sign * np.asarray(trace.force)))
-        filter_loss = max(getattr(measured, f"largest_{side}") - filtered, 0.0)
+        filter_loss = max(0.0, getattr(measured, f"largest_{side}") - filtered)
         properties[f"peak_{side}"] = properties[f"peak_{side}"] + filter_loss
     scores = _score(test.id, "calibrate", trace, replicas.observed, posterior.first)
     arguments = test.id, posterior, replicas, measured, properties, settings.tolerances
@@ -287,7 +286,7 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
         ),
         score=scores,
         identifiability=identifiability,
-        derived=property_rows(test.id, "calibrate", trace, derived, measured_properties(measured)),
+        derived=property_rows(test.id, "calibrate", trace, derived, measured.of_test()),
         loop_estimates=checks.loop_estimates(predictive, properties),
         modes=_modes(facts),
         stage=None if stage is None else stage[0],
@@ -302,7 +301,7 @@ def held_out_view(run: Run, name: str, trace: Trace) -> TestView:
     how["after"] = ending or ""
     band = run.predict(trace, "observation", **how)
     properties = device_properties(run, trace, band, run.predict(trace, "new_test", **how))
-    measured = measured_properties(measured_of(run.manifest, name))
+    measured = measured_of(run.manifest, name).of_test()
     return TestView(
         id=name,
         role="validate",

@@ -28,7 +28,7 @@ from mfd_bayes.errors import CampaignError, MfdError, RecordError
 from mfd_bayes.evaluation.scores import QuantileBand, fan_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.pipeline.inspect import gap_of, system_of_records
-from mfd_bayes.records.loops import Scales, scales_of
+from mfd_bayes.records.cycles import Scales, scales_of
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import check_outputs

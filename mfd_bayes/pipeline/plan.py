@@ -26,7 +26,7 @@ from mfd_bayes.jobs.job import JobState
 from mfd_bayes.pipeline.inspect import findings_of, findings_together, gap_of, inspect_test
 from mfd_bayes.pipeline.options import Effort, RunOptions
 from mfd_bayes.population.design import Design, design_of
-from mfd_bayes.records.loops import measured_cycles
+from mfd_bayes.records.cycles import measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import check_symbols

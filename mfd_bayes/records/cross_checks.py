@@ -9,11 +9,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from mfd_bayes.records.cycles import features_of
 from mfd_bayes.records.data_quality import Fault
 from mfd_bayes.records.loops import (
     asymmetry,
     channels_swapped,
-    features_of,
     find_loops,
 )
 from mfd_bayes.records.record import Record
@@ -129,7 +129,7 @@ def _duplicates(tests: Sequence[Tested]) -> Iterator[tuple[str, Fault]]:
         if test.id in twins:
             continue
         if test.steady and earlier.steady:
-            energies = abs(test.features["energy"]), abs(earlier.features["energy"])
+            energies = [abs(t.features["energy_per_cycle"]) for t in (test, earlier)]
             if not min(energies) > 0.8 * max(energies):
                 continue
         share = shared_part(test.trace, earlier.trace)

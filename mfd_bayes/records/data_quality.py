@@ -5,23 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import chain, product
+from itertools import chain, groupby, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.messages import Measure, Message
+from mfd_bayes.records.cycles import PROPERTIES, MeasuredCycles, features_of, measured_cycles
 from mfd_bayes.records.loops import (
     FEWEST,
-    UNITS,
     Loops,
-    MeasuredCycles,
     channels_swapped,
     explained_by_motion,
-    features_of,
     find_loops,
     mean_of,
-    measured_cycles,
     stroke_estimates,
     zero_is_central,
 )
@@ -1192,41 +1189,33 @@ def _facts_of_motion(record: Record, trace: Trace, loops: Loops) -> dict[str, Me
     return facts
 
 
-_SHOWN = (
-    ("peak force", "{} forward, {} backward", "peak_fwd peak_bwd"),
-    ("effective stiffness", "{}", "effective_stiffness"),
-    ("effective damping", "{}", "effective_damping"),
-    ("equivalent damping", "{}", "c_eq"),
-    ("gap", "{}", "gap"),
-    ("build-up slope", "{}", "build_up_slope"),
-)
-"""Measured values of the cycles: title, text and names."""
+_ENERGIES = {"energy per cycle": "at full stroke", "energy of ramps": "smaller"}
 
 
 def _facts_of_force(record: Record, trace: Trace, loops: Loops | None) -> dict[str, Message]:
     """Range of the force, measured values of the cycles, and drifts."""
-    force, has = np.asarray(trace.force), record.axes.has
+    force = np.asarray(trace.force)
     at_peak = max(np.count_nonzero(force == end) for end in (force.min(), force.max()))
     facts = {"force": _message(f"{{}}, samples at a peak: {at_peak}", (force, "kip"))}
     cycles = measured_cycles(trace)
-    if loops is None or cycles is None or not cycles.energy.size:
+    if loops is None or cycles is None or not cycles.time.size:
         return facts
     values, span = cycles.of_test(), "from the first loops to the last"
-    if has("slip_fwd") and np.isfinite([values["slip_fwd"], values["slip_bwd"]]).all():
-        facts["slip force"] = _slip_force(trace, cycles)
-    for title, text, words in _SHOWN:
-        names = words.split()
-        if has(names[0]) and np.isfinite([values[name] for name in names]).all():
-            facts[title] = _message(text, *((values[name], UNITS[name]) for name in names))
-    for title, mask, label in (
-        ("energy per cycle", cycles.full_stroke, "at full stroke"),
-        ("energy of ramps", ~cycles.full_stroke, "smaller"),
-    ):
-        energy = cycles.energy[mask]
-        if energy.size and has("energy"):
+    shown = [p for p in PROPERTIES.values() if p.of_cycle and p.applies(record.axes)]
+    shown.sort(key=lambda p: (p.key == "energy", p.design == 0))
+    for title, quantities in groupby(shown, key=lambda p: p.label):
+        sizes = [(values[quantity.name], quantity.unit) for quantity in quantities]
+        if not np.isfinite([size for size, _ in sizes]).all():
+            continue
+        facts[title] = _message("{} forward, {} backward" if len(sizes) > 1 else "{}", *sizes)
+        if title == "slip force":
+            facts[title] = _slip_force(trace, cycles)
+        elif label := _ENERGIES.get(title):
+            full = cycles.full_stroke
+            energy = cycles.values["energy"][full if label == "at full stroke" else ~full]
             text = f"{{}} (mean of {energy.size} {label}, {{}})"
-            facts[title] = _message(text, (energy.mean(), "kip*in"), (energy, "kip*in"))
-    if loops.energy_drift is not None and has("energy"):
+            facts[title] = _message(text, *sizes, (energy, "kip*in"))
+    if loops.energy_drift is not None and PROPERTIES["energy_per_cycle"].applies(record.axes):
         facts["energy drift"] = Message(f"{loops.energy_drift:+.1%} {span}")
     offset = (float(np.median(cycles.offset)), "kip")
     facts["force offset"] = _message("{}, mean along a loop", offset, digits=3)

@@ -17,29 +17,21 @@ from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.quantities import html_of
 from mfd_bayes.population.bands import KIND_NAMES
+from mfd_bayes.records.cycles import PROPERTIES
 
 _SYMBOLS = {
-    "slip_to_slip": (r"D_\mathrm{slip}", "travel from slip to slip, of the parameters"),
+    **{
+        name: (quantity.symbol, quantity.meaning)
+        for name, quantity in PROPERTIES.items()
+        if quantity.symbol
+    },
     "alpha_sigma0": (r"\alpha_{\sigma0}", "bristle stiffness per actuation"),
-    "energy_per_cycle": ("E", "energy dissipated in a cycle at full stroke, their mean"),
-    "energy_of_ramps": (r"E_\mathrm{ramp}", "the same of smaller full cycles"),
-    "total_energy": (r"E_\mathrm{all}", "energy of the whole record"),
-    "effective_stiffness": (r"K_\mathrm{eff}", "effective stiffness"),
-    "effective_damping": (r"\beta_\mathrm{eff}", "effective damping ratio"),
-    "build_up_slope": (r"k_\mathrm{up}", "slope of the build-up"),
-    "c_eq": (r"c_\mathrm{eq}", "equivalent viscous damping coefficient"),
     "sigma0_0": (r"\sigma_0|_{p=0}", "bristle stiffness at p = 0"),
 }
-for _side, _words in (("fwd", "forward"), ("bwd", "backward")):
+for _side in ("fwd", "bwd"):
     _SYMBOLS |= {
         f"K_c_{_side}": (rf"K_{{c,\mathrm{{{_side}}}}}", "kinetic friction per actuation"),
         f"K_s_{_side}": (rf"K_{{s,\mathrm{{{_side}}}}}", "static friction per actuation"),
-        f"slip_{_side}": (
-            rf"F_{{0,\mathrm{{{_side}}}}}",
-            f"slip force at zero displacement, {_words}",
-        ),
-        f"peak_{_side}": (rf"F_{{\max,\mathrm{{{_side}}}}}", f"peak force, {_words}"),
-        f"C_{_side}": (rf"C_\mathrm{{{_side}}}", f"self-energizing factor, {_words}"),
     } | {
         f"{force}_{_side}_0": (
             rf"F_{{{force[1]},\mathrm{{{_side}}}}}|_{{p=0}}",

@@ -24,7 +24,7 @@ from mfd_bayes.errors import CampaignError, StoreError, UnitError, hash_file
 from mfd_bayes.jobs.job import JobState
 from mfd_bayes.messages import Message
 from mfd_bayes.population.mixed_model import DependenceScore, LawScore
-from mfd_bayes.records.loops import MeasuredCycles
+from mfd_bayes.records.cycles import MeasuredCycles
 from mfd_bayes.runs.folder import (
     MANIFEST,
     POPULATION,

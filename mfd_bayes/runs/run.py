@@ -28,7 +28,7 @@ from mfd_bayes.population.conditioning import OnlinePredictor, predict_given
 from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.peaks import NO_EXCESS, SIDES, PeakExcess, Peaks, largest_speed
 from mfd_bayes.population.population import FinalState, Population
-from mfd_bayes.records.loops import MeasuredCycles
+from mfd_bayes.records.cycles import MeasuredCycles
 from mfd_bayes.records.record import NO_ACTUATION
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.runs.folder import (

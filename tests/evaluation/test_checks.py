@@ -24,7 +24,7 @@ from mfd_bayes.evaluation.summary import assess, verdict_sentences, views_of_tes
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.jobs import local
 from mfd_bayes.population.design import TestConditions
-from mfd_bayes.records.loops import measured_cycles
+from mfd_bayes.records.cycles import measured_cycles
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.symbols import Symbols
 from mfd_bayes.reporting.tables import paper_sheets

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.friction.backlash import BacklashLuGre
-from mfd_bayes.records.loops import features_of
+from mfd_bayes.records.cycles import features_of
 from mfd_bayes.records.trace import Trace
 from tests.friction.motions import (
     cut,

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from mfd_bayes.applications.comparison.crossvalidation import Fold, read_predictions
+from mfd_bayes.applications.properties.datasheet import datasheet
 from mfd_bayes.errors import StoreError
 from mfd_bayes.pipeline.options import RunOptions
 from mfd_bayes.pipeline.plan import plan_campaign
@@ -74,6 +75,20 @@ def test_a_manifest_that_says_something_else_is_refused(out, change, keys, value
     with pytest.raises(StoreError, match=words) as caught:
         open_run(out)
     assert str(out) in str(caught.value)
+
+
+def test_a_quantity_that_a_stored_run_lacks_is_a_gap(out, change):
+    def remove(manifest):
+        for test in manifest["tests"].values():
+            del test["measured"]["gap"], test["measured"]["energy"]
+
+    complete = datasheet(open_run(out)).rows.set_index("quantity")
+    change(out, remove)
+    rows = datasheet(open_run(out)).rows.set_index("quantity")
+    assert rows.loc[["gap", "energy"], "measured"].isna().all()
+    assert not complete.loc["energy", "measured"].isna().any()
+    kept = rows.index.difference(["gap", "energy"])
+    assert rows.loc[kept, "measured"].equals(complete.loc[kept, "measured"])
 
 
 def test_a_campaign_that_bears_the_name_of_its_priors_does_not_hide_behind_them(tmp_path):

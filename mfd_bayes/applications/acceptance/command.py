@@ -11,11 +11,12 @@ from typing import Any
 
 import typer
 
-from mfd_bayes.applications.acceptance.judgement import LIMITS, Acceptance, accept
+from mfd_bayes.applications.acceptance.judgement import Acceptance, accept
 from mfd_bayes.applications.acceptance.options import AcceptOptions
 from mfd_bayes.applications.acceptance.page import acceptance_table
 from mfd_bayes.console import print_rows, say, warn
 from mfd_bayes.errors import CampaignError
+from mfd_bayes.records.cycles import LIMITS
 from mfd_bayes.reporting.tables import to_csv
 from mfd_bayes.runs.folder import check_folder
 from mfd_bayes.runs.run import Run, actuation_level, open_run

@@ -30,10 +30,8 @@ from scipy import special
 
 from mfd_bayes.errors import CampaignError, RecordError
 from mfd_bayes.evaluation.properties import (
-    UNITS,
     applicable,
     measured_of,
-    measured_properties,
     properties_of,
     without_noise,
 )
@@ -43,7 +41,7 @@ from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.population.peaks import NO_EXCESS, Peaks, certain
 from mfd_bayes.records.cross_checks import UNITS as RECORD_UNITS
-from mfd_bayes.records.loops import measured_cycles
+from mfd_bayes.records.cycles import LIMITS, PROPERTIES, DeviceProperty, measured_cycles
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run, prediction_conditions
@@ -60,24 +58,16 @@ Row = dict[str, Any]
 ALPHA = 0.05  # stated rate of false alarms, and of each of the two one-sided tests
 DRAWS = 1000
 FEW = 200  # draws of a prediction of each calibrated test
-RESOLVED = ("build_up_slope", "gap")  # read off a line through few samples: depends on their rate
 FINEST = 16  # most samples at which these are predicted, for each one of the trace
 
-QUANTITIES: Mapping[str, tuple[str, str, str]] = {
-    "slip_fwd": ("slip", "slip force", "forward"),
-    "slip_bwd": ("slip", "slip force", "backward"),
-    "build_up_slope": ("build_up", "stiffness of the build-up", ""),
-    "gap": ("gap", "gap", ""),
-    "peak_fwd": ("peak", "peak force", "forward"),
-    "peak_bwd": ("peak", "peak force", "backward"),
-    "energy_per_cycle": ("energy", "energy of a cycle", ""),
-    "effective_stiffness": ("stiffness", "effective stiffness", ""),
-    "effective_damping": ("damping", "effective damping", ""),
-    "loop": ("loop", "whole loop, rms from the nominal one", ""),
-}
-"""Name of the limit, words and direction of each quantity, in the order of tables."""
-
-LIMITS = tuple(dict.fromkeys(name for name, *_ in QUANTITIES.values() if name != "loop"))
+_LOOP = DeviceProperty("loop", "kip", "whole loop, rms from the nominal one")
+QUANTITIES: Mapping[str, DeviceProperty] = {
+    quantity.name: quantity
+    for kind in LIMITS
+    for quantity in PROPERTIES.values()
+    if quantity.limit == kind
+} | {_LOOP.name: _LOOP}
+"""What is compared, in the order of tables."""
 
 
 LARGE = np.log(2.0)  # a logarithm so far from the others' asks whether the unit is wrong
@@ -174,7 +164,7 @@ def complete_limits(limits: Mapping[str, float]) -> dict[str, float]:
             raise CampaignError(f"no limit {name!r}: there are {', '.join(LIMITS)} and all")
         if not 0.0 < value < 1.0:
             raise CampaignError(f"the limit of {name} must be above 0 and below 100 %, got {value}")
-    by_name = {name: limits.get(kind, limits.get("all")) for name, (kind, *_) in QUANTITIES.items()}
+    by_name = {n: limits.get(p.limit, limits.get("all")) for n, p in QUANTITIES.items()}
     return {name: value for name, value in by_name.items() if value is not None and name != "loop"}
 
 
@@ -257,7 +247,8 @@ def expect(
 
 
 def _words(name: str) -> str:
-    return " ".join(QUANTITIES[name][1:]).strip()
+    quantity = QUANTITIES[name]
+    return f"{quantity.accept_label or quantity.label} {quantity.direction}".strip()
 
 
 def at_rate(run: Run, motion: Trace, options: Mapping[str, Any], rate: float) -> dict[str, float]:
@@ -283,7 +274,7 @@ def at_rate(run: Run, motion: Trace, options: Mapping[str, Any], rate: float) ->
         values.append(_quantities(trace, band, band, NO_EXCESS))
     fine, coarse = values
     with np.errstate(all="ignore"):
-        quotients = {name: fine[name] / coarse[name] for name in RESOLVED if name in fine}
+        quotients = {n: fine[n] / coarse[n] for n in fine if QUANTITIES[n].rate_dependent}
     resolved = {name: q for name, q in quotients.items() if not np.all(np.isnan(q))}
     ratios = {name: float(np.nanmedian(q)) for name, q in resolved.items()}
     return {name: ratio for name, ratio in ratios.items() if np.isfinite(ratio)}
@@ -301,7 +292,7 @@ def birge_ratios(run: Run) -> dict[str, float]:
         observed, smooth = (
             run.predict(motion, kind, **options) for kind in ("observation", "new_test")
         )
-        measured = measured_properties(measured_of(run.manifest, name))
+        measured = measured_of(run.manifest, name).of_test()
         resolution = at_rate(
             run, motion, prediction_conditions(run, name), run.manifest.tests[name].record_rate
         )
@@ -323,7 +314,7 @@ def compare_record(record: Record, trace: Trace, expected: Expected) -> Compared
     cycles = measured_cycles(record.trace())
     assert cycles is not None  # a trace with a force has them
     residual = np.asarray(trace.force) - expected.fan.median
-    measured = measured_properties(cycles) | {"loop": float(np.sqrt(np.mean(residual**2)))}
+    measured = cycles.of_test() | {"loop": float(np.sqrt(np.mean(residual**2)))}
     values = {
         name: measured[name]
         for name in QUANTITIES
@@ -436,7 +427,7 @@ def judge(
 
     rows: dict[str, Row] = {}
     for k, name in enumerate(level.names):
-        _, words, direction = QUANTITIES[name]
+        quantity = QUANTITIES[name]
         effect, p_value = level.measured[k] - level.device[:, k], float(level.p_values[k])
         any_device, sd = np.exp(level.among[:, k]), float(effect.std())
         low, middle, high = 100.0 * np.expm1(np.quantile(effect, [ALPHA, 0.5, 1.0 - ALPHA]))
@@ -452,9 +443,9 @@ def judge(
             verdict = "beyond the limit" if p_beyond > 0.5 and differs else "cannot tell"
             verdict = "within the limit" if p_beyond <= ALPHA else verdict
         rows[name] = {
-            "quantity": axes.text(words),
-            "direction": direction,
-            "unit": UNITS.get(name, "kip"),
+            "quantity": axes.text(quantity.accept_label or quantity.label),
+            "direction": quantity.direction,
+            "unit": quantity.unit,
             "measured": float(np.exp(level.measured[k])),
             "nominal": float(np.exp(np.median(level.device[:, k]))),
             "lower": float(np.quantile(any_device, 0.5 * ALPHA)),
@@ -474,7 +465,7 @@ def judge(
     size = dict(zip(level.names, level.sizes, strict=True))
     # where something differs, slip forces are named before what is read off at shares of them
     slips = [n for n in size if differing and n.startswith("slip") and size[n] > ALONE]
-    resolved = [n for n in differing if n in RESOLVED]
+    resolved = [n for n in differing if QUANTITIES[n].rate_dependent]
     candidates = slips or resolved or differing
     named = max(candidates, key=lambda name: size[name], default="")
     verdicts = {row["verdict"] for row in rows.values() if np.isfinite(row["limit"])}

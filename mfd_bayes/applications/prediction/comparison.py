@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.scores import Row, crps, rrse
 from mfd_bayes.population.bands import Band
+from mfd_bayes.records.cycles import PROPERTIES
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.unit_system import UnitSystem
@@ -28,7 +29,7 @@ STILL, DWELL = 0.01, 0.125
 """At rest: within this share of the stroke, for longer than this share of a mean cycle. A sine is
 so near to its turn for half as long."""
 
-_OF_MEASUREMENT = ("peak_fwd", "peak_bwd", "slip_fwd", "slip_bwd")  # with offset and noise
+_OF_MEASUREMENT = [n for n, p in PROPERTIES.items() if p.unit == "kip"]  # with offset and noise
 
 
 # --- a prediction and the force that was measured in the same motion

@@ -19,11 +19,7 @@ from mfd_bayes.evaluation.bounds import (
 from mfd_bayes.evaluation.properties import Array, measured_of
 from mfd_bayes.evaluation.views import Datasheet
 from mfd_bayes.messages import Message
-from mfd_bayes.records.loops import (
-    FORMULAS,
-    MeasuredCycles,
-)
-from mfd_bayes.records.loops import UNITS as CYCLE_UNITS
+from mfd_bayes.records.cycles import PROPERTIES, RECORD, DeviceProperty, MeasuredCycles
 from mfd_bayes.records.record import NO_ACTUATION
 from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
 from mfd_bayes.runs.manifest import Fitness
@@ -40,16 +36,7 @@ PROBABILITY = 0.95  # of the interval between lower and upper bound
 BASIS = "observation"  # what the bounds are of: a measured value lies in them with PROBABILITY
 CYCLES = 3  # cycles of which the energy is given one by one
 HARMONIC = 0.2  # least share of the cycles at full stroke, by which a test counts as harmonic
-_QUANTITIES = (
-    ("slip_force", "forward", "slip_fwd"),
-    ("slip_force", "backward", "slip_bwd"),
-    ("peak_force", "forward", "peak_fwd"),
-    ("peak_force", "backward", "peak_bwd"),
-    ("effective_stiffness", "", "effective_stiffness"),
-    ("effective_damping", "", "effective_damping"),
-    ("energy", "", "energy"),
-    ("gap", "", "gap"),
-)
+_ON_SHEET = [quantity for quantity in PROPERTIES.values() if quantity.sheet]
 
 
 _COLUMNS = [
@@ -108,9 +95,9 @@ def datasheet(run: Run, conditions: Sequence[Condition] = ()) -> Datasheet:
         verdict=_verdict(run, rows),
         not_known=(*lacking, *_not_known(run)),
         formulas={
-            run.system.text(quantity): run.system.text(FORMULAS[quantity])
-            for quantity, _, name in _QUANTITIES
-            if run.system.axes.has(name)
+            run.system.text(quantity.sheet): run.system.text(quantity.formula)
+            for quantity in _ON_SHEET
+            if quantity.applies(run.system.axes)
         },
     )
 
@@ -178,47 +165,54 @@ def _rows(
         "note": "; ".join(remarks),
     }
     rows = []
-    for quantity, direction, name in _QUANTITIES:
-        if not axes.has(name):
+    for quantity in _ON_SHEET:
+        if not quantity.applies(axes):
             continue
-        for cycle in range(CYCLES + 1 if name == "energy" else 1):
-            values = {basis: _of_cycle(of, name, cycle) for basis, of in draws.items()}
+        for cycle in range(CYCLES + 1 if quantity.sheet == "energy" else 1):
+            values = {basis: _of_cycle(of, quantity, cycle) for basis, of in draws.items()}
             if cycle and not np.any(np.isfinite(values[BASIS])):
                 continue
             row = bounds(values["mean"], values[BASIS], PROBABILITY)
             other_bounds = bounds(values["mean"], values.get(ANOTHER, np.empty(0)), PROBABILITY)
             rows.append(
                 head
-                | {"quantity": quantity, "direction": direction, "unit": CYCLE_UNITS[name]}
+                | {
+                    "quantity": quantity.sheet,
+                    "direction": quantity.direction,
+                    "unit": quantity.unit,
+                }
                 | {"cycle": cycle, **row}
-                | _measured(name, cycle, [cycles for *_, cycles in tests], row)
+                | _measured(quantity, cycle, [cycles for *_, cycles in tests], row)
                 | {f"{key}_other": other_bounds[key] for key in ("lambda_min", "lambda_max")}
             )
     return rows
 
 
-def _of_cycle(draws: Mapping[str, Array], name: str, cycle: int) -> Array:
+def _of_cycle(draws: Mapping[str, Array], quantity: DeviceProperty, cycle: int) -> Array:
     """Draws, (n,), of a property of a test, or of the energy of one of its cycles."""
     if cycle:
-        return draws["energy"][:, cycle - 1 : cycle].ravel()
-    return draws["energy_per_cycle" if name == "energy" else name]
+        return draws[quantity.key][:, cycle - 1 : cycle].ravel()
+    return draws[quantity.name]
 
 
 def _measured(
-    name: str, cycle: int, tests: Sequence[MeasuredCycles], bounds: Mapping[str, float]
+    quantity: DeviceProperty,
+    cycle: int,
+    tests: Sequence[MeasuredCycles],
+    bounds: Mapping[str, float],
 ) -> dict[str, float]:
     """Measured value of tests, or of one cycle of them, with its smallest and largest cycle.
 
     The standard error is that of the mean of the cycles, of all tests.
     """
     window = slice(cycle - 1, cycle) if cycle else slice(None)
-    of_cycles = [getattr(test, name)[test.full_stroke][window] for test in tests]
+    of_cycles = [test.values[quantity.key][test.full_stroke][window] for test in tests]
     if cycle:
         values, errors = np.concatenate([np.empty(0), *of_cycles]), np.empty(0)
     else:
-        values = np.array([test.of_test()[name] for test in tests])
-        errors = np.array([test.standard_error(name) for test in tests])
-    if name.startswith("peak"):  # the largest value is no mean
+        values = np.array([test.of_test()[quantity.name] for test in tests])
+        errors = np.array([test.standard_error(quantity.name) for test in tests])
+    if quantity.extent == RECORD:  # the largest value is no mean
         errors = np.empty(0)
     per_cycle = np.concatenate([np.empty(0), *of_cycles])
     per_cycle, values = per_cycle[np.isfinite(per_cycle)], values[np.isfinite(values)]
