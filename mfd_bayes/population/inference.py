@@ -72,7 +72,7 @@ from mfd_bayes.records.trace import Trace
 
 ALTERNATIVES = 400  # draws under all laws together, for actuations beyond the tested levels
 # largest number of sweeps of the exact sampler
-SWEEPS = {"quick": 400, "standard": 2000, "thorough": 10000}
+SWEEPS = {"quick": 800, "standard": 4000, "thorough": 20000}
 # with more tests than this there are fewer chains: laws and variances are then known well
 MANY = 60
 WALKERS, FEW_WALKERS = 16, 4  # chains of each group, and with many tests
@@ -177,7 +177,7 @@ def _inferred(
         densities = [mixed_model.importance_sample(laws, rng)[0] for laws in kinds]
         return mixed_model, [densities[k] for k in kind.ravel()]
 
-    began, limit = time.perf_counter(), SWEEPS.get(effort.name, 2000)
+    began, limit = time.perf_counter(), SWEEPS.get(effort.name, 4000)
 
     def tell(sweeps: int, convergence: Convergence) -> None:
         seconds = time.perf_counter() - began

@@ -151,8 +151,10 @@ def test_a_dampers_force_is_the_peak_that_design_says_of_the_same_motion(run, tm
         design, bounds = rows[f"peak_{side}", "new_test"], response.references
         got = [float(getattr(bounds[name], f"peak_{side}")[0, 0, 0]) for name in ("lower", "upper")]
         assert got == pytest.approx([design["lower"], design["upper"]], rel=0.1)
-        middle = np.median(getattr(response, f"peak_{side}"))
-        assert middle == pytest.approx(rows[f"peak_{side}", "mean"]["nominal"], rel=0.05)
+        peaks_of_draws = getattr(response, f"peak_{side}")
+        error = 1.25 * peaks_of_draws.std() / np.sqrt(peaks_of_draws.size)  # of a median, 2 to 3 %
+        nominal = rows[f"peak_{side}", "mean"]["nominal"]
+        assert abs(np.median(peaks_of_draws) - nominal) < 4.0 * error
 
 
 @pytest.mark.parametrize("count", [2, 3])
