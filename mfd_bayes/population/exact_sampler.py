@@ -45,7 +45,7 @@ from mfd_bayes.population.mixed_model import (
     LARGEST,
     Coefficients,
     MixedModel,
-    StudentT,
+    StudentTProposal,
     backward,
     forward,
 )
@@ -95,7 +95,7 @@ class ExactSampler:
     def __init__(
         self,
         fit: JointFit,
-        approximate: Callable[[JointFit], tuple[MixedModel, Sequence[StudentT]]],
+        approximate: Callable[[JointFit], tuple[MixedModel, Sequence[StudentTProposal]]],
         unpooled: NDArray[np.bool_],
         choice: Index,
         rng: np.random.Generator,

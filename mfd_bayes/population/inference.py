@@ -54,7 +54,7 @@ from mfd_bayes.population.mixed_model import (
     DependenceScore,
     LawScore,
     MixedModel,
-    StudentT,
+    StudentTProposal,
     TestGaussians,
     compare_dependence,
     compare_laws,
@@ -171,7 +171,7 @@ def _inferred(
     mixed.find_outliers(choice[0])
     kinds, kind = np.unique(choice, axis=0, return_inverse=True)
 
-    def approximate(fit: JointFit) -> tuple[MixedModel, list[StudentT]]:
+    def approximate(fit: JointFit) -> tuple[MixedModel, list[StudentTProposal]]:
         mixed_model = MixedModel(design, *gaussians_of(fit, unpooled, d), mixed.weight)
         mixed_model.adapted = mixed.adapted  # the next fit is near the last one
         densities = [mixed_model.importance_sample(laws, rng)[0] for laws in kinds]

@@ -66,7 +66,7 @@ class Coefficients(NamedTuple):
         return self.mean + backward(self.factor, rng.standard_normal(self.mean.shape))
 
 
-class StudentT(NamedTuple):
+class StudentTProposal(NamedTuple):
     """Multivariate t density with `FREEDOM` degrees of freedom: mean (dim,), root (dim, dim)."""
 
     mean: Array
@@ -299,7 +299,7 @@ class MixedModel:
 
     def importance_sample(
         self, choice: Index, rng: np.random.Generator
-    ) -> tuple[StudentT, Array, Array]:
+    ) -> tuple[StudentTProposal, Array, Array]:
         """Student t near the posterior of the numbers; points of it (n, dim), log weights (n,).
 
         Its mean and covariance are adapted to the weighted points until these are worth enough
@@ -312,7 +312,7 @@ class MixedModel:
             self.adapted[laws], rounds = (mode, root @ root.T), ADAPTATIONS
         mean, covariance = self.adapted[laws]
         for _ in range(rounds):
-            density = StudentT(mean, SCALE * np.asarray(np.linalg.cholesky(covariance)))
+            density = StudentTProposal(mean, SCALE * np.asarray(np.linalg.cholesky(covariance)))
             g = density.draw(rng, POINTS)
             log = self.log_numbers(g, choice) - density.log_density(g)
             weight = special.softmax(log)

@@ -27,7 +27,7 @@ SAMPLES = 64  # of the next cycle, of which the band is computed
 
 
 @dataclass(frozen=True)
-class Cycle:
+class WatchedCycle:
     """A cycle that has ended, with the estimates of the test so far.
 
     `band` is the mean width, kip, of the 95 % band of the force in one more cycle of the same
@@ -72,7 +72,7 @@ def run_watch(options: WatchOptions) -> None:
         say(cycle.sentence)
 
 
-def watch(options: WatchOptions) -> Iterator[Cycle]:
+def watch(options: WatchOptions) -> Iterator[WatchedCycle]:
     """Cycles of a test as they end in its file, which may still grow."""
     run = open_run(options.run, trust=options.trust_model)
     run = replace(run, conditions=stated_conditions(options))
@@ -101,7 +101,7 @@ def watch(options: WatchOptions) -> Iterator[Cycle]:
             if not (enough or misfit) and is_enough(estimates, number, narrowing):
                 enough = number
             width = _width(follower, trace, start, end)
-            yield Cycle(number, estimates, width, misfit, enough, run.system)
+            yield WatchedCycle(number, estimates, width, misfit, enough, run.system)
     if not number:
         raise RecordError(
             f"{options.record} has no full cycle: expected a motion that turns three times"
