@@ -27,6 +27,7 @@ from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values, write
 from mfd_bayes.evaluation.laws import drift_row
 from mfd_bayes.population.design import TestConditions, design_of
 from mfd_bayes.population.mixed_model import MixedModel
+from tests.population.made import sample_h
 
 MATRIX = Matrix((600.0, 1000.0, 1400.0), (0.1, 0.25, 0.5, 1.0), (2, 3, 3, 4), (800.0, 0.5))
 ACTUATION, FREQUENCY, CYCLES = 1.0, 0.5, 3  # ksi and Hz of a production test
@@ -157,7 +158,7 @@ def drift(options):
         for _ in range(number):
             values = np.log1p(rate) * (years - 2020.0) + rng.normal(0.0, 0.02, years.size)
             mixed = MixedModel(design, (values / design.spread[0])[:, None], precision)
-            h = mixed.sample(choice, rng, 1000)
+            h = sample_h(mixed, choice, rng, 1000)
             z = mixed.marginal(h, choice)[1].draw(rng)
             drifts.append(drift_row("Fc_fwd", "date", z[:, 1], years, 0.15))
         true = abs(rate) * 14.0 > 0.15  # four years of tests, and ten after them

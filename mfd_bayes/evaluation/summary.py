@@ -78,7 +78,7 @@ _CORNER = (
     *("Fc_fwd", "Fc_bwd", "sigma0", "k2", "k3", "d2", "d3"),
     *("k_fwd", "k_bwd", "gap", "n", "ell"),
 )
-"""Quantities that matter most in design come first, after the slip forces."""
+"""Quantities of the corner plot, in its order."""
 
 
 def assess(run: Run, jobs: int = 1) -> CampaignView:

@@ -14,14 +14,14 @@ normal numbers e. A sweep of the sampler has three moves:
 3. given all tests, which needs no force: each coordinate of h by random-walk Metropolis, then z
    from its Gaussian (Gibbs).
 
-The first two change the numbers by the preconditioned Crank-Nicolson step e' = √(1 - β²) e + β ξ,
-which leaves the approximation as it is, and are accepted by the exact over the approximate
-likelihoods (Rudolf and Sprungk, 2018). The first two are the non-centred and the third the centred
-form of one hierarchy: where one mixes slowly the other does not (Yu and Meng, 2011).
+Numbers change by the preconditioned Crank-Nicolson step e' = √(1 - β²) e + β ξ, which leaves the
+approximation as it is. Moves 1 and 2 are accepted by the exact over the approximate likelihoods too
+(Rudolf and Sprungk, 2018). They are of the non-centred form of the hierarchy, and move 3 of the
+centred one: where one mixes slowly the other does not (Yu and Meng, 2011).
 
 While warming up the Gaussian likelihoods are fitted anew, by least squares, to the exact ones of
 what was proposed, each weighted by the probability of its acceptance (waste recycling: Frenkel,
-2004). With Gaussian likelihoods every move of the first kind is accepted.
+2004). With Gaussian likelihoods move 1 is always accepted.
 """
 
 from __future__ import annotations
@@ -43,7 +43,6 @@ from mfd_bayes.jobs.local import Evaluate, in_turn
 from mfd_bayes.population.joint_fit import Array, Index, JointFit
 from mfd_bayes.population.mixed_model import (
     LARGEST,
-    Coefficients,
     MixedModel,
     StudentTProposal,
     backward,
@@ -208,19 +207,18 @@ class ExactSampler:
         if self.warming_up:
             self.levels.append(self.state.z[:, self.common])
             self.beta = np.clip(self.beta * np.exp(0.1 * (each - ACCEPT)), 0.05, 1.0)
-            step = self.beta_z * np.exp(0.1 * (together - ACCEPT_Z))
-            self.beta_z = float(np.clip(step, 0.02, 1.0))
+            if move == 0:  # the others do not depend on this step
+                step = self.beta_z * np.exp(0.1 * (together - ACCEPT_Z))
+                self.beta_z = float(np.clip(step, 0.02, 1.0))
 
     def _with_another_h(self, s: ChainState) -> tuple[Array, Array, Array]:
         """Proposed h, from its Student t, and z near its numbers; log ratio but for the excess."""
         log, gaussian = self.mixed.marginal(s.h, self.choice)
         log += self._log_weight(self.mixed.to_standard_normal(s.h))
-        e_z = np.einsum("nji,nj->ni", gaussian.factor, s.z - gaussian.mean)
-        e_z = self._autoregressive(e_z, self.beta_z)
+        e_z = self._autoregressive(gaussian.numbers_of(s.z), self.beta_z)
         h, log_weight = self._propose_h()
         log_marginal, gaussian = self.mixed.marginal(h, self.choice)
-        z = gaussian.mean + backward(gaussian.factor, e_z)
-        return h, z, log_marginal + log_weight - log
+        return h, gaussian.of_numbers(e_z), log_marginal + log_weight - log
 
     def _shift_common(self, s: ChainState, by_difference: bool) -> tuple[Array, Array, Array]:
         """The same of common levels that are moved; h stays."""
@@ -242,13 +240,8 @@ class ExactSampler:
         z = s.z.copy()
         z[:, self.common] = moved
         z[:, remainder] -= forward(precision[:, remainder[:, None], remainder], shift)
-        log_ratio += self._log_gaussian(gaussian, z) - self._log_gaussian(gaussian, s.z)
+        log_ratio += gaussian.log_density(z) - gaussian.log_density(s.z)
         return s.h, z, log_ratio
-
-    def _log_gaussian(self, gaussian: Coefficients, z: Array) -> Array:
-        """Log density of z (n, Z) given h but for a constant, (n,)."""
-        e_z = np.einsum("nji,nj->ni", gaussian.factor, z - gaussian.mean)
-        return np.asarray(-0.5 * np.sum(e_z**2, axis=1))
 
     def _learn_common(self) -> None:
         """Take the last levels of what all tests share as the archive of their moves."""

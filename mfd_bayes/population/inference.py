@@ -177,7 +177,7 @@ def _inferred(
         densities = [mixed_model.importance_sample(laws, rng)[0] for laws in kinds]
         return mixed_model, [densities[k] for k in kind.ravel()]
 
-    began, limit = time.perf_counter(), SWEEPS.get(effort.name, 4000)
+    began, limit = time.perf_counter(), SWEEPS.get(effort.name, SWEEPS["standard"])
 
     def tell(sweeps: int, convergence: Convergence) -> None:
         seconds = time.perf_counter() - began

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.diagnostics import psis, systematic
+from mfd_bayes.calibration.diagnostics import psis
 from mfd_bayes.population.design import (
     COMPARE,
     EXPONENT,
@@ -63,7 +63,19 @@ class Coefficients(NamedTuple):
 
     def draw(self, rng: np.random.Generator) -> Array:
         """A draw for each row, (n, Z)."""
-        return self.mean + backward(self.factor, rng.standard_normal(self.mean.shape))
+        return self.of_numbers(rng.standard_normal(self.mean.shape))
+
+    def of_numbers(self, e: Array) -> Array:
+        """Coefficients (n, Z) of standard normal numbers e (n, Z)."""
+        return self.mean + backward(self.factor, e)
+
+    def numbers_of(self, z: Array) -> Array:
+        """The inverse of `of_numbers`, (n, Z)."""
+        return np.asarray(np.einsum("nji,nj->ni", self.factor, z - self.mean))
+
+    def log_density(self, z: Array) -> Array:
+        """Log density of z (n, Z) but for a constant, (n,)."""
+        return np.asarray(-0.5 * np.sum(self.numbers_of(z) ** 2, axis=1))
 
 
 class StudentTProposal(NamedTuple):
@@ -326,11 +338,6 @@ class MixedModel:
             covariance = np.asarray((size * spread + before * covariance) / (size + before))
         self.adapted[laws] = mean, covariance
         return density, g, log
-
-    def sample(self, choice: Index, rng: np.random.Generator, n: int) -> Array:
-        """Draws of h, (n, dim), by importance resampling: many are the same."""
-        _, g, log = self.importance_sample(choice, rng)
-        return self.from_standard_normal(g[systematic(log, n, rng)])
 
     def find_outliers(self, choice: Index) -> None:
         """Set the weights of quantities of tests: contaminated normal scatter by EM.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.messages import Measure, Message
-from mfd_bayes.records.cycles import PROPERTIES, MeasuredCycles, features_of, measured_cycles
+from mfd_bayes.records.cycles import FULL, PROPERTIES, MeasuredCycles, features_of, measured_cycles
 from mfd_bayes.records.loops import (
     FEWEST,
     Loops,
@@ -1189,9 +1189,6 @@ def _facts_of_motion(record: Record, trace: Trace, loops: Loops) -> dict[str, Me
     return facts
 
 
-_ENERGIES = {"energy per cycle": "at full stroke", "energy of ramps": "smaller"}
-
-
 def _facts_of_force(record: Record, trace: Trace, loops: Loops | None) -> dict[str, Message]:
     """Range of the force, measured values of the cycles, and drifts."""
     force = np.asarray(trace.force)
@@ -1204,17 +1201,19 @@ def _facts_of_force(record: Record, trace: Trace, loops: Loops | None) -> dict[s
     shown = [p for p in PROPERTIES.values() if p.of_cycle and p.applies(record.axes)]
     shown.sort(key=lambda p: (p.key == "energy", p.design == 0))
     for title, quantities in groupby(shown, key=lambda p: p.label):
-        sizes = [(values[quantity.name], quantity.unit) for quantity in quantities]
+        first, *others = quantities
+        sizes = [(values[quantity.name], quantity.unit) for quantity in (first, *others)]
         if not np.isfinite([size for size, _ in sizes]).all():
             continue
-        facts[title] = _message("{} forward, {} backward" if len(sizes) > 1 else "{}", *sizes)
         if title == "slip force":
             facts[title] = _slip_force(trace, cycles)
-        elif label := _ENERGIES.get(title):
-            full = cycles.full_stroke
-            energy = cycles.values["energy"][full if label == "at full stroke" else ~full]
-            text = f"{{}} (mean of {energy.size} {label}, {{}})"
+        elif first.key == "energy":
+            full = first.extent == FULL
+            energy = cycles.values["energy"][cycles.full_stroke == full]
+            text = f"{{}} (mean of {energy.size} {'at full stroke' if full else 'smaller'}, {{}})"
             facts[title] = _message(text, *sizes, (energy, "kip*in"))
+        else:
+            facts[title] = _message("{} forward, {} backward" if others else "{}", *sizes)
     if loops.energy_drift is not None and PROPERTIES["energy_per_cycle"].applies(record.axes):
         facts["energy drift"] = Message(f"{loops.energy_drift:+.1%} {span}")
     offset = (float(np.median(cycles.offset)), "kip")

@@ -88,7 +88,7 @@ class ModelAverage:
 
         Parameters
         ----------
-        trace, kind, probability, seed, session, simultaneous, given, after
+        trace, kind, probability, seed, session, simultaneous, condition_on, after
             As in `Run.predict`; not of kind `this_test`.
         draws : int
             Of all models together, 10 or more for each.

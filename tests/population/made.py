@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import Convergence
+from mfd_bayes.calibration.diagnostics import Convergence, systematic
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.friction.models import find_model
@@ -21,6 +21,7 @@ from mfd_bayes.population.design import (
     setting_of,
     usual_shapes,
 )
+from mfd_bayes.population.mixed_model import MixedModel
 from mfd_bayes.population.population import (
     KNOTS,
     InitialGapPrior,
@@ -165,3 +166,9 @@ def make_predictor(
         tested = [setting_of(Trace.from_arrays(time, motion, p)) for p in (0.5, 1.0, 2.0)]
     population = make_population(tested, *arguments, **options)
     return Predictor(population, friction, find_noise("iid"))
+
+
+def sample_h(mixed: MixedModel, choice: Array, rng: np.random.Generator, n: int) -> Array:
+    """Draws of h, (n, dim), by importance resampling: many are the same."""
+    _, g, log = mixed.importance_sample(choice, rng)
+    return mixed.from_standard_normal(g[systematic(log, n, rng)])

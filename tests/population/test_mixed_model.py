@@ -21,6 +21,7 @@ from mfd_bayes.population.mixed_model import (
     compare_laws,
     extrapolation_weights,
 )
+from tests.population.made import sample_h
 
 NAMES = ("Fc_fwd", "sigma0", "k3", "offset")
 SOME_LAWS = {"Fc_fwd": "power", "sigma0": "affine"}
@@ -200,7 +201,7 @@ def test_draws_find_the_scatter_that_a_grid_finds(priors):
     mixed = MixedModel(laid, y, precision)
     choice = choice_of(mixed)
     assert mixed.dim == 5  # three scatters, and two shapes of which one level says nothing
-    draws = mixed.sample(choice, np.random.default_rng(1), 8000)
+    draws = sample_h(mixed, choice, np.random.default_rng(1), 8000)
     axis = np.linspace(-5.0, 1.5, 400)
     middle = draws.mean(axis=0)
     for i in range(3):  # the three are independent here
@@ -279,7 +280,7 @@ def test_a_drift_is_found_where_there_is_one(priors):
         values = rate * (years - 2022.0) + rng.normal(0.0, 0.02, years.size)
         precision = np.full((years.size, 1, 1), (laid.spread[0] / 0.002) ** 2)
         mixed = MixedModel(laid, values[:, None] / laid.spread[0], precision)
-        h = mixed.sample(np.array([0]), np.random.default_rng(1), 2000)
+        h = sample_h(mixed, np.array([0]), np.random.default_rng(1), 2000)
         z = mixed.marginal(h, np.array([0]))[1].draw(rng)
         slopes.append((np.mean(z[:, 1] / 4.0), np.std(z[:, 1] / 4.0)))  # of four years
     (drift, error), (null, wide) = slopes
