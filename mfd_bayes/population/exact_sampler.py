@@ -11,8 +11,8 @@ normal numbers e. A sweep of the sampler has three moves:
    - the levels of what all tests share, by the difference of two draws of the warm-up (DE-MC(Z):
      ter Braak and Vrugt, 2008), or from a mixture fitted to these draws (independence Metropolis);
      the rest of z is shifted as its Gaussian given h says;
-3. given all tests, which needs no force: each coordinate of h by random-walk Metropolis, then z
-   from its Gaussian (Gibbs).
+3. given all tests, which needs no force: the coordinates of h by random-walk Metropolis, those of
+   different quantities side by side, then z from its Gaussian (Gibbs).
 
 Numbers change by the preconditioned Crank-Nicolson step e' = √(1 - β²) e + β ξ, which leaves the
 approximation as it is. Moves 1 and 2 are accepted by the exact over the approximate likelihoods too
@@ -94,20 +94,27 @@ class ExactSampler:
     def __init__(
         self,
         fit: JointFit,
-        approximate: Callable[[JointFit], tuple[MixedModel, Sequence[StudentTProposal]]],
+        approximate: Callable[[JointFit], tuple[MixedModel, StudentTProposal]],
         unpooled: NDArray[np.bool_],
         choice: Index,
         rng: np.random.Generator,
         evaluate: Evaluate[Array, Array] | None = None,
     ) -> None:
         self.fit, self.approximate, self.unpooled, self.rng = fit, approximate, unpooled, rng
-        self.mixed, self.densities = mixed, _ = approximate(fit)
+        self.mixed, self.proposal = mixed, _ = approximate(fit)
         self.choice, self.d = choice, len(mixed.design.names)
         self.evaluate = evaluate or in_turn([test.log_likelihood for test in fit.tests])
         local = np.any(unpooled, axis=0)
         local[mixed.free] = True
         self.local = np.flatnonzero(local)
         self.beta, self.beta_z = np.full(len(fit.mean), 0.8), 0.8  # step sizes
+        # of each coordinate of h that tests know: its number, kind, and quantity or effect
+        v, free = mixed.f + mixed.e, mixed.free.tolist()
+        owners = [(shape, mixed.design.names.index(name)) for name, shape in mixed.design.shapes]
+        self.blocks = [(i, "scatter", i) for i in range(v)]
+        self.blocks += [
+            (v + i, shape, free.index(k)) for i, (shape, k) in enumerate(owners) if k in free
+        ]
         # while warming up: proposals x, their excess, and the share of it that each test accepts
         self.proposals: list[tuple[Array, Array, Array]] = []
         self.warming_up = True
@@ -122,14 +129,12 @@ class ExactSampler:
 
     def _propose_h(self) -> tuple[Array, Array]:
         """Draws of h of every chain from its Student t, (n, dim), and their log weights, (n,)."""
-        g = np.concatenate([density.draw(self.rng, 1) for density in self.densities])
+        g = self.proposal.draw(self.rng, len(self.choice))
         return self.mixed.from_standard_normal(g), self._log_weight(g)
 
     def _log_weight(self, g: Array) -> Array:
         """Log prior density of numbers (n, dim) over that of each chain's Student t, (n,)."""
-        each = zip(self.densities, g[:, None], strict=True)
-        proposed = [density.log_density(numbers) for density, numbers in each]
-        return np.asarray(-0.5 * np.sum(g**2, axis=1) - np.concatenate(proposed))
+        return np.asarray(-0.5 * np.sum(g**2, axis=1) - self.proposal.log_density(g))
 
     def _linear(self, z: Array) -> Array:
         """Levels, slopes and effects of the tests, (n, J, d)."""
@@ -158,9 +163,15 @@ class ExactSampler:
 
     def _at(self, h: Array, z: Array, e: Array) -> ChainState:
         """State with standard normal numbers e (n, J, L) of the tests."""
-        x, factor = self._conditional(h, z)
-        x[..., self.local] += backward(factor, e)
+        x = self._tests_of(self._conditional(h, z), e)
         return ChainState(h, z, x, self._excess(x))
+
+    def _tests_of(self, conditional: tuple[Array, Array], e: Array) -> Array:
+        """Tests' coordinates (n, J, D) of standard normal numbers."""
+        mean, factor = conditional
+        x = mean.copy()
+        x[..., self.local] += backward(factor, e)
+        return x
 
     def _excess(self, x: Array) -> Array:
         """Exact less approximate log density of each test, (n, J)."""
@@ -178,11 +189,12 @@ class ExactSampler:
     def sweep(self) -> None:
         """One move of each kind; while warming up the step sizes are tuned."""
         s, rng = self.state, self.rng
-        mean, factor = self._conditional(s.h, s.z)
+        mean, factor = conditional = self._conditional(s.h, s.z)
         e = np.einsum("njab,nja->njb", factor, (s.x - mean)[..., self.local])
         # each test
         moved = self._autoregressive(e, self.beta[:, None])
-        new = self._at(s.h, s.z, moved)
+        x = self._tests_of(conditional, moved)
+        new = s._replace(x=x, excess=self._excess(x))
         self._keep(s, new)
         tests = np.log(rng.random(s.excess.shape)) < new.excess - s.excess
         own, e = tests[..., None], np.where(tests[..., None], moved, e)
@@ -292,42 +304,52 @@ class ExactSampler:
             outer = np.linalg.solve(root.T, vectors)
             precision[j] = (outer * values) @ outer.T
         self.fit = replace(fit, mean=mean, precision=precision)
-        self.mixed, self.densities = self.approximate(self.fit)
+        self.mixed, self.proposal = self.approximate(self.fit)
         self.state = self.state._replace(excess=self._excess(self.state.x))
 
     def _move_h(self) -> None:
-        """Random-walk Metropolis of each coordinate of h with z and x as they are."""
-        mixed, s, rng, v = self.mixed, self.state, self.rng, self.mixed.f + self.mixed.e
-        h, names = s.h.copy(), mixed.design.names
-        without_law = s.x[..., : self.d] - self._linear(s.z)
-        shapes = [names.index(name) in mixed.free for name, _ in mixed.design.shapes]
+        """Random-walk Metropolis of the coordinates of h with z and x as they are, then z.
+
+        Given z and x, what belongs to different quantities and effects is independent: scatters
+        are moved side by side, and so are shares and exponents.
+        """
+        mixed, s, rng = self.mixed, self.state, self.rng
+        h, without_law = s.h.copy(), s.x[..., : self.d] - self._linear(s.z)
         log = self._log_given_tests(h, s.z, without_law)
-        for i in np.flatnonzero([*[True] * v, *shapes]).tolist():
+        for kind, step in (("scatter", 1.0), ("share", 0.3), ("exponent", 0.3)):
+            columns = np.array([i for i, k, _ in self.blocks if k == kind], dtype=np.intp)
+            if not columns.size:
+                continue
+            block = [b for _, k, b in self.blocks if k == kind]
             moved = h.copy()
-            moved[:, i] += RANDOM_WALK * rng.standard_normal(len(h)) * (1.0 if i < v else 0.3)
+            moved[:, columns] += step * RANDOM_WALK * rng.standard_normal((len(h), columns.size))
             log_moved = self._log_given_tests(moved, s.z, without_law)
-            accepted = np.log(rng.random(len(h))) < log_moved - log
-            h[accepted], log[accepted] = moved[accepted], log_moved[accepted]
+            accepted = np.log(rng.random((len(h), columns.size))) < (log_moved - log)[:, block]
+            h[:, columns] = np.where(accepted, moved[:, columns], h[:, columns])
+            log[:, block] = np.where(accepted, log_moved[:, block], log[:, block])
         residual = s.x[..., : self.d] - mixed.offsets(h, self.choice)
         pooled = mixed.weight * ~self.unpooled[:, mixed.free]
         z = mixed.draw_given_tests(h, residual, pooled, s.z, rng)
         self.state = s._replace(h=h, z=z)
 
     def _log_given_tests(self, h: Array, z: Array, without_law: Array) -> Array:
-        """Log density of h given z and the tests' coordinates, (n,)."""
-        mixed, free_indices, sd = self.mixed, self.mixed.free, self._sd(h)
-        distance = (without_law - mixed.offsets(h, self.choice))[..., free_indices]
-        terms = np.where(
-            self.unpooled[:, free_indices], 0.0, -0.5 * (distance / sd) ** 2 - np.log(sd)
-        )
-        total = mixed.log_prior(h) + terms.sum(axis=(1, 2))
-        total += np.where(np.all(np.abs(h) < LARGEST, axis=1), 0.0, -np.inf)
+        """Log density of h given z and the tests' coordinates, of each block, (n, F + E)."""
+        mixed, free, sd = self.mixed, self.mixed.free, self._sd(h)
+        distance = (without_law - mixed.offsets(h, self.choice))[..., free]
+        terms = np.where(self.unpooled[:, free], 0.0, -0.5 * (distance / sd) ** 2 - np.log(sd))
+        log = np.zeros((len(h), mixed.f + mixed.e))
+        log[:, : mixed.f] = terms.sum(axis=1)
+        prior = np.where(np.abs(h) < LARGEST, mixed.log_prior(h), -np.inf)
+        for i, _, block in self.blocks:
+            log[:, block] += prior[:, i]
         omega = mixed.omega(h)
         for e, precision in enumerate(mixed.effect_precision):
             u = z[:, mixed.design.columns(e)]
-            squares = np.einsum("nmc,cd,nmd->n", u, precision, u, optimize=True)
-            total += -u[0].size * np.log(omega[:, e]) - 0.5 * squares / omega[:, e] ** 2
-        return np.asarray(total)
+            squares = np.sum((u @ precision) * u, axis=(1, 2))
+            log[:, mixed.f + e] -= (
+                u[0].size * np.log(omega[:, e]) + 0.5 * squares / omega[:, e] ** 2
+            )
+        return log
 
     def run(
         self,

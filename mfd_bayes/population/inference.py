@@ -171,11 +171,12 @@ def _inferred(
     mixed.find_outliers(choice[0])
     kinds, kind = np.unique(choice, axis=0, return_inverse=True)
 
-    def approximate(fit: JointFit) -> tuple[MixedModel, list[StudentTProposal]]:
+    def approximate(fit: JointFit) -> tuple[MixedModel, StudentTProposal]:
         mixed_model = MixedModel(design, *gaussians_of(fit, unpooled, d), mixed.weight)
         mixed_model.adapted = mixed.adapted  # the next fit is near the last one
-        densities = [mixed_model.importance_sample(laws, rng)[0] for laws in kinds]
-        return mixed_model, [densities[k] for k in kind.ravel()]
+        proposals = [mixed_model.importance_sample(laws, rng)[0] for laws in kinds]
+        means, roots = (np.stack(values)[kind.ravel()] for values in zip(*proposals, strict=True))
+        return mixed_model, StudentTProposal(means, roots)
 
     began, limit = time.perf_counter(), SWEEPS.get(effort.name, SWEEPS["standard"])
 

@@ -79,22 +79,25 @@ class Coefficients(NamedTuple):
 
 
 class StudentTProposal(NamedTuple):
-    """Multivariate t density with `FREEDOM` degrees of freedom: mean (dim,), root (dim, dim)."""
+    """Multivariate t density with `FREEDOM` degrees of freedom, or one for each of n rows.
+
+    `mean` is (dim,) or (n, dim), and `root` (dim, dim) or (n, dim, dim).
+    """
 
     mean: Array
     root: Array
 
     def draw(self, rng: np.random.Generator, n: int) -> Array:
         """Draws, (n, dim)."""
-        y = rng.standard_normal((n, self.mean.size))
+        y = rng.standard_normal((n, self.mean.shape[-1]))
         y /= np.sqrt(rng.chisquare(FREEDOM, (n, 1)) / FREEDOM)
-        return self.mean + y @ self.root.T
+        return np.asarray(self.mean + np.einsum("...ij,...j->...i", self.root, y))
 
     def log_density(self, g: Array) -> Array:
-        """Log density of g (n, dim) but for a constant, (n,)."""
-        y = np.linalg.solve(self.root, (g - self.mean).T)
-        log = np.log1p(np.sum(y**2, axis=0) / FREEDOM)
-        return np.asarray(-0.5 * (FREEDOM + self.mean.size) * log)
+        """Log density of g (n, dim) but for a constant that does not depend on g, (n,)."""
+        squares = np.sum(forward(self.root, g - self.mean) ** 2, axis=-1)
+        log = np.log1p(squares / FREEDOM)
+        return np.asarray(-0.5 * (FREEDOM + g.shape[-1]) * log)
 
 
 class MixedModel:
@@ -124,7 +127,7 @@ class MixedModel:
         self.adapted: dict[tuple[int, ...], tuple[Array, Array]] = {}
         cell_of_test = [design.cell_of(s) for s in design.settings]
         self.cells = [
-            [j for j, test_cell in enumerate(cell_of_test) if test_cell == cell]
+            np.array([j for j, test_cell in enumerate(cell_of_test) if test_cell == cell], np.intp)
             for cell in design.cells
         ]
         covariance = design.level_covariance(design.cells, design.cells)
@@ -153,12 +156,15 @@ class MixedModel:
         return np.where(self.design.informs, offsets, 0.0)
 
     def log_prior(self, h: Array) -> Array:
-        """Log prior density of h but for a constant, (n,): half-normal sds, with their Jacobian."""
-        v = self.f + self.e
-        total = np.sum(h[:, :v] - 0.5 * (np.exp(h[:, :v]) / self.scale) ** 2, axis=1)
-        for i, (_, shape) in enumerate(self.design.shapes):
-            total += shape_prior(shape).log_density(h[:, v + i])
-        return np.asarray(total)
+        """Log prior density of each coordinate of h, (n, dim), but for constants.
+
+        Standard deviations are half-normal; the Jacobian of their logarithm is in it.
+        """
+        v, log = self.f + self.e, np.empty(h.shape)
+        log[:, :v] = h[:, :v] - 0.5 * (np.exp(h[:, :v]) / self.scale) ** 2
+        for i, (_, shape) in enumerate(self.design.shapes, v):
+            log[:, i] = shape_prior(shape).log_density(h[:, i])
+        return log
 
     def from_standard_normal(self, g: Array) -> Array:
         """Values of h for numbers g (n, dim): draws of its prior for standard normal numbers.
@@ -195,28 +201,26 @@ class MixedModel:
     ) -> tuple[Array, Coefficients]:
         """Log marginal likelihood of tests (all by default) given h, (n,), and z given these."""
         design, tau, omega = self.design, self.tau(h), self.omega(h)
-        offsets, n, a = self.offsets(h, choice), len(h), self.prior_precision(h)
-        b = np.zeros(a.shape[:2])
+        n, a, b = len(h), self.prior_precision(h), np.zeros((len(h), design.quantity.size))
+        used = np.arange(len(self.y)) if tests is None else np.sort(np.asarray(tests, np.intp))
+        # precision of A z + law without the deviations
+        p, inner = self.p[used], self._inner(used, tau)
+        across = np.broadcast_to(p[:, self.free], (n, *p[:, self.free].shape))
+        precision = p - p[:, :, self.free] @ np.linalg.solve(inner, across)
+        residual = self.y[used] - self.offsets(h, choice)[:, used]
+        pulled = (precision @ residual[..., None])[..., 0]
         total = -np.log(omega) @ np.array([design.columns(e).size for e in range(self.e)])
-        for cell in self.cells:
-            js = np.array([j for j in cell if tests is None or j in tests], dtype=np.intp)
-            if not js.size:
-                continue
-            active = np.flatnonzero(np.any(self.rows[js], axis=0))
-            q, row = design.quantity[active], self.rows[np.ix_(js, active)]
-            # precision of A z + law without the deviations
-            p, inner = self.p[js], self._inner(js, tau)
-            across = np.broadcast_to(p[:, self.free], (n, *p[:, self.free].shape))
-            precision = p - p[:, :, self.free] @ np.linalg.solve(inner, across)
-            log = -0.5 * np.linalg.slogdet(inner)[1].sum(axis=1) - js.size * np.log(tau).sum(axis=1)
-            residual = self.y[js] - offsets[:, js]
-            pulled = np.einsum("njab,njb->nja", precision, residual)
-            log += 0.5 * np.log(self.weight[js]).sum()
-            total += log - 0.5 * np.einsum("nja,nja->n", residual, pulled)
-            b[:, active] += np.einsum("jm,njm->nm", row, pulled[:, :, q])
-            grams = precision[:, :, q[:, None], q]
-            block = np.ix_(np.arange(n), active, active)
-            a[block] += np.einsum("jml,njml->nml", row[:, :, None] * row[:, None], grams)
+        total -= 0.5 * np.linalg.slogdet(inner)[1].sum(axis=1) + used.size * np.log(tau).sum(axis=1)
+        total += 0.5 * np.log(self.weight[used]).sum() - 0.5 * np.sum(
+            residual * pulled, axis=(1, 2)
+        )
+        for cell in self.cells:  # its tests have the same columns
+            js = np.flatnonzero(np.isin(used, cell))
+            active = np.flatnonzero(np.any(self.rows[used[js]], axis=0))
+            q, row = design.quantity[active], self.rows[np.ix_(used[js], active)]
+            b[:, active] += np.einsum("jm,njm->nm", row, pulled[:, js[:, None], q])
+            grams = precision[:, js[:, None, None], q[:, None], q] * row[:, :, None] * row[:, None]
+            a[:, active[:, None], active] += grams.sum(axis=1)
         factor = np.asarray(np.linalg.cholesky(a))
         u = forward(factor, b)
         total += 0.5 * np.sum(u**2, axis=1)

@@ -46,7 +46,7 @@ class Campaign:
         """Mixed model of Gaussian likelihoods, and a Student t near the posterior of h."""
         mixed = MixedModel(self.design, fit.mean, fit.precision)
         density, _, _ = mixed.importance_sample(self.choice[0], np.random.default_rng(2))
-        return mixed, [density] * CHAINS
+        return mixed, density
 
     def integrals(self):
         """Levels (L,), and moments 0 to 2 of the tests' coordinates at each, (H, L, 3, J).
@@ -67,13 +67,13 @@ class Campaign:
     def likelihood_of_level(self):
         """Levels, and their log likelihood without prior, scatter and coordinates integrated."""
         level, moments = self.integrals()
-        log = np.log(moments[:, :, 0]).sum(axis=2) + self.mixed.log_prior(self.h)[:, None]
+        log = np.log(moments[:, :, 0]).sum(axis=2) + self.mixed.log_prior(self.h)
         return level, special.logsumexp(log, axis=0)
 
     def truth(self):
         """Means and sds of log scatter, level and coordinates by quadrature."""
         level, moments = self.integrals()
-        log = np.log(moments[:, :, 0]).sum(axis=2) + self.mixed.log_prior(self.h)[:, None]
+        log = np.log(moments[:, :, 0]).sum(axis=2) + self.mixed.log_prior(self.h)
         weight = special.softmax(log - 0.5 * level**2)
         flat, ratios = np.ones(weight.shape), moments[:, :, 1:] / moments[:, :, :1]
         pairs = [(v, v**2) for v in (self.h[:, [0]] * flat, level * flat)]
@@ -110,7 +110,7 @@ def test_with_gaussian_likelihoods_draws_are_exact(priors, seed):
     h, mixed = campaign.h, campaign.mixed
     log, gaussian = mixed.marginal(h, campaign.choice[0])
     expected = campaign.truth()
-    level = special.softmax(mixed.log_prior(h) + log) @ gaussian.mean[:, 0]
+    level = special.softmax(mixed.log_prior(h).sum(axis=1) + log) @ gaussian.mean[:, 0]
     assert expected[1, 0] == pytest.approx(level, abs=0.01)
     assert np.abs(errors(means, expected[:, 0])).max() < 4.0
     squares = sds**2 + (means - expected[:, 0]) ** 2
@@ -187,7 +187,7 @@ def common_draws(common, sweeps):
     def approximate(fit):
         mixed = MixedModel(common.design, fit.mean, fit.precision)
         density, _, _ = mixed.importance_sample(choice[0], np.random.default_rng(2))
-        return mixed, [density] * CHAINS
+        return mixed, density
 
     tests = [SimpleNamespace(log_likelihood=f) for f in common.functions]
     fit = JointFit(tests, common.mean, common.precision, residual=None)

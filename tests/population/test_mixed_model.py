@@ -207,12 +207,16 @@ def test_draws_find_the_scatter_that_a_grid_finds(priors):
     for i in range(3):  # the three are independent here
         grid = np.tile(middle, (axis.size, 1))
         grid[:, i] = axis + np.log(mixed.scale[i])
-        weight = special.softmax(mixed.log_prior(grid) + mixed.marginal(grid, choice)[0])
+        weight = special.softmax(
+            mixed.log_prior(grid).sum(axis=1) + mixed.marginal(grid, choice)[0]
+        )
         mean = weight @ grid[:, i]
         sd = np.sqrt(weight @ (grid[:, i] - mean) ** 2)
         assert abs(draws[:, i].mean() - mean) < 0.15 * sd
         assert draws[:, i].std() == pytest.approx(sd, rel=0.15)
-        prior = special.softmax(mixed.log_prior(grid))  # the control: it is not the prior
+        prior = special.softmax(
+            mixed.log_prior(grid).sum(axis=1)
+        )  # the control: it is not the prior
         prior_sd = np.sqrt(prior @ (grid[:, i] - prior @ grid[:, i]) ** 2)
         assert draws[:, i].std() < 0.5 * prior_sd
 
