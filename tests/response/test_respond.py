@@ -143,7 +143,7 @@ def test_a_dampers_force_is_the_peak_that_design_says_of_the_same_motion(run, tm
     )
     time, speed = np.arange(301) / 50, np.pi
     ground = Ground("sine", 0.02, speed**2 * np.cos(speed * time))
-    response = run.respond(building, ground, draws=60, seed=1)
+    response = run.respond(building, ground, draws=400, seed=1)
     travel = response.travels[0][0, :, 0].astype(float)
     trace = mb.Trace.from_arrays(time, travel, actuation=1.0)
     rows = {(row["name"], row["basis"]): row for row in design_rows(run, trace)}
