@@ -101,7 +101,7 @@ class ExactSampler:
         evaluate: Evaluate[Array, Array] | None = None,
     ) -> None:
         self.fit, self.approximate, self.unpooled, self.rng = fit, approximate, unpooled, rng
-        self.mixed, self.proposal = mixed, _ = approximate(fit)
+        self.mixed, self.student_t = mixed, _ = approximate(fit)
         self.choice, self.d = choice, len(mixed.design.names)
         self.evaluate = evaluate or in_turn([test.log_likelihood for test in fit.tests])
         local = np.any(unpooled, axis=0)
@@ -129,12 +129,12 @@ class ExactSampler:
 
     def _propose_h(self) -> tuple[Array, Array]:
         """Draws of h of every chain from its Student t, (n, dim), and their log weights, (n,)."""
-        g = self.proposal.draw(self.rng, len(self.choice))
+        g = self.student_t.draw(self.rng, len(self.choice))
         return self.mixed.from_standard_normal(g), self._log_weight(g)
 
     def _log_weight(self, g: Array) -> Array:
         """Log prior density of numbers (n, dim) over that of each chain's Student t, (n,)."""
-        return np.asarray(-0.5 * np.sum(g**2, axis=1) - self.proposal.log_density(g))
+        return np.asarray(-0.5 * np.sum(g**2, axis=1) - self.student_t.log_density(g))
 
     def _linear(self, z: Array) -> Array:
         """Levels, slopes and effects of the tests, (n, J, d)."""
@@ -304,7 +304,7 @@ class ExactSampler:
             outer = np.linalg.solve(root.T, vectors)
             precision[j] = (outer * values) @ outer.T
         self.fit = replace(fit, mean=mean, precision=precision)
-        self.mixed, self.proposal = self.approximate(self.fit)
+        self.mixed, self.student_t = self.approximate(self.fit)
         self.state = self.state._replace(excess=self._excess(self.state.x))
 
     def _move_h(self) -> None:

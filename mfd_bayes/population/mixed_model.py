@@ -126,9 +126,9 @@ class MixedModel:
         # mean and covariance of the numbers of h by the choice of laws, once they were drawn
         self.adapted: dict[tuple[int, ...], tuple[Array, Array]] = {}
         cell_of_test = [design.cell_of(s) for s in design.settings]
+        # whether each test is in the cell
         self.cells = [
-            np.array([j for j, test_cell in enumerate(cell_of_test) if test_cell == cell], np.intp)
-            for cell in design.cells
+            np.array([test_cell == cell for test_cell in cell_of_test]) for cell in design.cells
         ]
         covariance = design.level_covariance(design.cells, design.cells)
         level = np.linalg.inv(covariance + 1e-9 * np.eye(len(covariance)))
@@ -215,7 +215,7 @@ class MixedModel:
             residual * pulled, axis=(1, 2)
         )
         for cell in self.cells:  # its tests have the same columns
-            js = np.flatnonzero(np.isin(used, cell))
+            js = np.flatnonzero(cell[used])
             active = np.flatnonzero(np.any(self.rows[used[js]], axis=0))
             q, row = design.quantity[active], self.rows[np.ix_(used[js], active)]
             b[:, active] += np.einsum("jm,njm->nm", row, pulled[:, js[:, None], q])

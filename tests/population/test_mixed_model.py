@@ -17,6 +17,7 @@ from mfd_bayes.population.design import (
 )
 from mfd_bayes.population.mixed_model import (
     MixedModel,
+    StudentTProposal,
     TestGaussians,
     compare_laws,
     extrapolation_weights,
@@ -214,9 +215,8 @@ def test_draws_find_the_scatter_that_a_grid_finds(priors):
         sd = np.sqrt(weight @ (grid[:, i] - mean) ** 2)
         assert abs(draws[:, i].mean() - mean) < 0.15 * sd
         assert draws[:, i].std() == pytest.approx(sd, rel=0.15)
-        prior = special.softmax(
-            mixed.log_prior(grid).sum(axis=1)
-        )  # the control: it is not the prior
+        # the control: it is not the prior
+        prior = special.softmax(mixed.log_prior(grid).sum(axis=1))
         prior_sd = np.sqrt(prior @ (grid[:, i] - prior @ grid[:, i]) ** 2)
         assert draws[:, i].std() < 0.5 * prior_sd
 
@@ -374,3 +374,16 @@ def test_slip_forces_at_a_common_speed_and_the_width_of_the_gap_are_compared(pri
     for name in ("sigma0", "v_s", "static_excess_fwd", "k3", "offset"):
         coordinate = priors.parameters[name].coordinate(values[name])
         np.testing.assert_allclose(q[:, EVERY.index(name)], coordinate, rtol=1e-10, atol=1e-12)
+
+
+def test_a_student_t_of_each_row_is_that_of_the_row_alone():
+    rng = np.random.default_rng(0)
+    means, roots = rng.standard_normal((3, 2)), np.tril(1.0 + rng.random((3, 2, 2)))
+    together = StudentTProposal(means, roots)
+    g = together.draw(np.random.default_rng(1), 3)
+    rows = zip(means, roots, g, strict=True)
+    alone = [StudentTProposal(m, root).log_density(row[None])[0] for m, root, row in rows]
+    np.testing.assert_allclose(together.log_density(g), alone, rtol=1e-12)
+    first = StudentTProposal(means[0], roots[0])  # the control: rows differ
+    assert not np.allclose(first.log_density(g), alone)
+    np.testing.assert_allclose(first.draw(np.random.default_rng(1), 3)[0], g[0], rtol=1e-12)
