@@ -19,8 +19,9 @@ from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from itertools import islice
+from functools import partial
 from multiprocessing import resource_tracker
+from multiprocessing.connection import wait as answered
 from multiprocessing.context import ForkServerContext, SpawnContext
 from pathlib import Path
 from types import ModuleType
@@ -212,66 +213,85 @@ def follow_parent() -> None:
 Argument = TypeVar("Argument")
 Value = TypeVar("Value")
 
-Evaluate = Callable[[Iterable[tuple[int, Argument]]], Iterator[Value]]
+Evaluate = Callable[[Iterable[tuple[int, Argument]]], list[Value]]
 """Values of tests' functions at pairs of a test's number and an argument."""
 
 FEWEST = 4  # tests; with fewer, one process is faster than several
-MOST = 16  # tests that are sent together
-
-_FUNCTIONS: ContextVar[Sequence[Callable[[Any], Any]]] = ContextVar("_FUNCTIONS")
 
 
 def in_turn(functions: Sequence[Callable[[Argument], Value]]) -> Evaluate[Argument, Value]:
     """Function that computes values in this process, one after the other."""
-    return lambda points: (functions[j](x) for j, x in points)
+    return lambda points: [functions[j](x) for j, x in points]
 
 
 @contextmanager
 def several_processes(
     functions: Sequence[Callable[[Argument], Value]], jobs: int
 ) -> Iterator[Evaluate[Argument, Value]]:
-    """Function that computes values in several processes; in this one where that is faster.
+    """Function that computes values in this process and `jobs` - 1 others, where that is faster.
 
     The figures are those of this process, bit for bit, and come in the order of the arguments.
-    Where a process is lost, this one goes on alone.
+    What another process is lost at, or fails at, this one computes.
     """
     if jobs < 2 or len(functions) < FEWEST:
         yield in_turn(functions)
         return
-    pool = ProcessPoolExecutor(jobs, context(), initializer=_start, initargs=(functions,))
-    size = max(1, min(MOST, len(functions) // (2 * jobs)))
-
-    def receive(batch: list[tuple[int, Argument]], future: Any) -> Iterable[Value]:
-        if future is not None:
-            with suppress(BrokenProcessPool):
-                return future.result()  # type: ignore[no-any-return]
-        return in_turn(functions)(batch)
-
-    def evaluate(points: Iterable[tuple[int, Argument]]) -> Iterator[Value]:
-        source, sent = iter(points), deque[Any]()
-        while batch := list(islice(source, size)):
-            future = None
-            with suppress(BrokenProcessPool):
-                future = pool.submit(_compute, batch)
-            sent.append((batch, future))
-            if len(sent) > 2 * jobs:  # a few are computed ahead
-                yield from receive(*sent.popleft())
-        while sent:
-            yield from receive(*sent.popleft())
-
+    workers: dict[Any, Any] = {}  # by the ends of their pipes
     try:
         with started_alike():
-            for _ in range(jobs):
-                pool.submit(_compute, [])
-        yield evaluate
+            for _ in range(jobs - 1):
+                connection, theirs = multiprocessing.Pipe()
+                worker = context().Process(target=_serve, args=(theirs, functions), daemon=True)
+                worker.start()
+                theirs.close()  # so that the pipe ends where the worker does
+                workers[connection] = worker
+        yield partial(_compute, functions, list(workers))
     finally:
-        pool.shutdown(cancel_futures=True)
+        for connection, worker in workers.items():
+            connection.close()
+            worker.kill()
+            worker.join()
 
 
-def _start(functions: Sequence[Callable[[Any], Any]]) -> None:
-    _FUNCTIONS.set(functions)
+def _compute(
+    functions: Sequence[Callable[[Argument], Value]],
+    workers: list[Any],
+    points: Iterable[tuple[int, Argument]],
+) -> list[Value]:
+    """Values at points: each process takes the next point when it is free."""
+    waiting = deque(enumerate(points))
+    values: dict[int, Value] = {}
+    sent: dict[Any, tuple[int, tuple[int, Argument]]] = {}
+    try:
+        while waiting or sent:
+            for worker in [w for w in workers if w not in sent][: len(waiting)]:
+                try:
+                    worker.send(waiting[0][1])
+                    sent[worker] = waiting.popleft()
+                except OSError:
+                    workers.remove(worker)
+            if waiting:
+                i, (j, x) = waiting.popleft()
+                values[i] = functions[j](x)
+            ready: list[Any] = answered(list(sent), 0 if waiting or not sent else None)
+            for worker in ready:
+                i, point = sent.pop(worker)
+                try:
+                    values[i] = worker.recv()
+                except (EOFError, OSError):
+                    workers.remove(worker)
+                    waiting.append((i, point))
+    finally:  # an answer that is left would be taken for that at another point
+        for worker in sent:
+            with suppress(EOFError, OSError):
+                worker.recv()
+    return [values[i] for i in range(len(values))]
+
+
+def _serve(connection: Any, functions: Sequence[Callable[[Any], Any]]) -> None:
+    """In another process: send values at the points that come, until one fails."""
     follow_parent()
-
-
-def _compute(batch: list[tuple[int, Any]]) -> list[Any]:
-    return list(in_turn(_FUNCTIONS.get())(batch))
+    with suppress(Exception):
+        while True:
+            j, x = connection.recv()
+            connection.send(functions[j](x))
