@@ -20,8 +20,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
-from multiprocessing import resource_tracker
-from multiprocessing.connection import wait as answered
+from multiprocessing import connection, resource_tracker
 from multiprocessing.context import ForkServerContext, SpawnContext
 from pathlib import Path
 from types import ModuleType
@@ -231,67 +230,70 @@ def several_processes(
     """Function that computes values in this process and `jobs` - 1 others, where that is faster.
 
     The figures are those of this process, bit for bit, and come in the order of the arguments.
-    What another process is lost at, or fails at, this one computes.
+    Where another process is killed or fails, this one computes the value.
     """
     if jobs < 2 or len(functions) < FEWEST:
         yield in_turn(functions)
         return
-    workers: dict[Any, Any] = {}  # by the ends of their pipes
+    workers: dict[Any, Any] = {}  # process by the pipe to it
     try:
         with started_alike():
             for _ in range(jobs - 1):
-                connection, theirs = multiprocessing.Pipe()
-                worker = context().Process(target=_serve, args=(theirs, functions), daemon=True)
+                pipe, far_end = multiprocessing.Pipe()
+                worker = context().Process(target=_serve, args=(far_end, functions), daemon=True)
                 worker.start()
-                theirs.close()  # so that the pipe ends where the worker does
-                workers[connection] = worker
+                far_end.close()  # so that the pipe ends when the worker does
+                workers[pipe] = worker
         yield partial(_compute, functions, list(workers))
     finally:
-        for connection, worker in workers.items():
-            connection.close()
+        for pipe, worker in workers.items():
+            pipe.close()
             worker.kill()
             worker.join()
 
 
 def _compute(
     functions: Sequence[Callable[[Argument], Value]],
-    workers: list[Any],
+    pipes: list[Any],
     points: Iterable[tuple[int, Argument]],
 ) -> list[Value]:
-    """Values at points: each process takes the next point when it is free."""
+    """Values at points: each process takes the next point when it is free.
+
+    A worker that is lost is removed from `pipes`.
+    """
     waiting = deque(enumerate(points))
     values: dict[int, Value] = {}
     sent: dict[Any, tuple[int, tuple[int, Argument]]] = {}
     try:
         while waiting or sent:
-            for worker in [w for w in workers if w not in sent][: len(waiting)]:
+            for pipe in [p for p in pipes if p not in sent][: len(waiting)]:
                 try:
-                    worker.send(waiting[0][1])
-                    sent[worker] = waiting.popleft()
+                    pipe.send(waiting[0][1])
+                    sent[pipe] = waiting.popleft()
                 except OSError:
-                    workers.remove(worker)
+                    pipes.remove(pipe)
             if waiting:
                 i, (j, x) = waiting.popleft()
                 values[i] = functions[j](x)
-            ready: list[Any] = answered(list(sent), 0 if waiting or not sent else None)
-            for worker in ready:
-                i, point = sent.pop(worker)
+            ready: list[Any] = connection.wait(list(sent), 0 if waiting or not sent else None)
+            for pipe in ready:
+                i, point = sent.pop(pipe)
                 try:
-                    values[i] = worker.recv()
+                    values[i] = pipe.recv()
                 except (EOFError, OSError):
-                    workers.remove(worker)
+                    pipes.remove(pipe)
                     waiting.append((i, point))
-    finally:  # an answer that is left would be taken for that at another point
-        for worker in sent:
+    finally:  # an answer that is not read now would be read as that of a later point
+        for pipe in sent:
             with suppress(EOFError, OSError):
-                worker.recv()
+                pipe.recv()
     return [values[i] for i in range(len(values))]
 
 
-def _serve(connection: Any, functions: Sequence[Callable[[Any], Any]]) -> None:
+def _serve(pipe: Any, functions: Sequence[Callable[[Any], Any]]) -> None:
     """In another process: send values at the points that come, until one fails."""
     follow_parent()
     with suppress(Exception):
         while True:
-            j, x = connection.recv()
-            connection.send(functions[j](x))
+            j, x = pipe.recv()
+            pipe.send(functions[j](x))

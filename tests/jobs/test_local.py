@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
@@ -147,11 +146,10 @@ PROCESS = "__import__('os').getpid()"
 
 
 def test_this_process_and_others_share_the_points():
-    points = [(0, f"__import__('time').sleep(0.01) or {PROCESS}")] * 300
     with several_processes([eval] * TESTS, 3) as evaluate:
-        counts = Counter(evaluate(points))
+        at_work = set(evaluate([(0, PROCESS)] * TESTS))
         processes = {os.getpid(), *(p.pid for p in multiprocessing.active_children())}
-    assert set(counts) == processes
+    assert at_work == processes
     assert len(processes) == 3
 
 
@@ -174,6 +172,6 @@ def test_where_a_process_is_killed_this_one_goes_on(at_work):
             os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
         for _ in range(2):
             assert evaluate(points) == [True] * TESTS
-        for process in multiprocessing.active_children():  # lost, before it is waited for
+        for process in multiprocessing.active_children():  # it may still be ending
             process.join(timeout=10)
             assert process.exitcode == -signal.SIGKILL
