@@ -19,8 +19,8 @@ from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from functools import partial
-from multiprocessing import connection, resource_tracker
+from itertools import islice
+from multiprocessing import resource_tracker
 from multiprocessing.context import ForkServerContext, SpawnContext
 from pathlib import Path
 from types import ModuleType
@@ -212,88 +212,66 @@ def follow_parent() -> None:
 Argument = TypeVar("Argument")
 Value = TypeVar("Value")
 
-Evaluate = Callable[[Iterable[tuple[int, Argument]]], list[Value]]
+Evaluate = Callable[[Iterable[tuple[int, Argument]]], Iterator[Value]]
 """Values of tests' functions at pairs of a test's number and an argument."""
 
 FEWEST = 4  # tests; with fewer, one process is faster than several
+MOST = 16  # tests that are sent together
+
+_FUNCTIONS: ContextVar[Sequence[Callable[[Any], Any]]] = ContextVar("_FUNCTIONS")
 
 
 def in_turn(functions: Sequence[Callable[[Argument], Value]]) -> Evaluate[Argument, Value]:
     """Function that computes values in this process, one after the other."""
-    return lambda points: [functions[j](x) for j, x in points]
+    return lambda points: (functions[j](x) for j, x in points)
 
 
 @contextmanager
 def several_processes(
     functions: Sequence[Callable[[Argument], Value]], jobs: int
 ) -> Iterator[Evaluate[Argument, Value]]:
-    """Function that computes values in this process and `jobs` - 1 others, where that is faster.
+    """Function that computes values in several processes; in this one where that is faster.
 
     The figures are those of this process, bit for bit, and come in the order of the arguments.
-    Where another process is killed or fails, this one computes the value.
+    Where a process is lost, this one goes on alone.
     """
     if jobs < 2 or len(functions) < FEWEST:
         yield in_turn(functions)
         return
-    workers: dict[Any, Any] = {}  # process by the pipe to it
+    pool = ProcessPoolExecutor(jobs, context(), initializer=_start, initargs=(functions,))
+    size = max(1, min(MOST, len(functions) // (2 * jobs)))
+
+    def receive(batch: list[tuple[int, Argument]], future: Any) -> Iterable[Value]:
+        if future is not None:
+            with suppress(BrokenProcessPool):
+                return future.result()  # type: ignore[no-any-return]
+        return in_turn(functions)(batch)
+
+    def evaluate(points: Iterable[tuple[int, Argument]]) -> Iterator[Value]:
+        source, sent = iter(points), deque[Any]()
+        while batch := list(islice(source, size)):
+            future = None
+            with suppress(BrokenProcessPool):
+                future = pool.submit(_compute, batch)
+            sent.append((batch, future))
+            if len(sent) > 2 * jobs:  # a few are computed ahead
+                yield from receive(*sent.popleft())
+        while sent:
+            yield from receive(*sent.popleft())
+
     try:
         with started_alike():
-            for _ in range(jobs - 1):
-                pipe, far_end = multiprocessing.Pipe()
-                worker = context().Process(target=_serve, args=(far_end, functions), daemon=True)
-                worker.start()
-                far_end.close()  # so that the pipe ends when the worker does
-                workers[pipe] = worker
-        yield partial(_compute, functions, list(workers))
+            for _ in range(jobs):
+                pool.submit(_compute, [])
+        yield evaluate
     finally:
-        for pipe, worker in workers.items():
-            pipe.close()
-            worker.kill()
-            worker.join()
+        pool.shutdown(cancel_futures=True)
 
 
-def _compute(
-    functions: Sequence[Callable[[Argument], Value]],
-    pipes: list[Any],
-    points: Iterable[tuple[int, Argument]],
-) -> list[Value]:
-    """Values at points: each process takes the next point when it is free.
-
-    A worker that is lost is removed from `pipes`.
-    """
-    waiting = deque(enumerate(points))
-    values: dict[int, Value] = {}
-    sent: dict[Any, tuple[int, tuple[int, Argument]]] = {}
-    try:
-        while waiting or sent:
-            for pipe in [p for p in pipes if p not in sent][: len(waiting)]:
-                try:
-                    pipe.send(waiting[0][1])
-                    sent[pipe] = waiting.popleft()
-                except OSError:
-                    pipes.remove(pipe)
-            if waiting:
-                i, (j, x) = waiting.popleft()
-                values[i] = functions[j](x)
-            ready: list[Any] = connection.wait(list(sent), 0 if waiting or not sent else None)
-            for pipe in ready:
-                i, point = sent.pop(pipe)
-                try:
-                    values[i] = pipe.recv()
-                except (EOFError, OSError):
-                    pipes.remove(pipe)
-                    waiting.append((i, point))
-    finally:  # an answer that is not read now would be read as that of a later point
-        for pipe in sent:
-            with suppress(EOFError, OSError):
-                pipe.recv()
-    return [values[i] for i in range(len(values))]
-
-
-def _serve(pipe: Any, functions: Sequence[Callable[[Any], Any]]) -> None:
-    """In another process: send values at the points that come, until one fails."""
+def _start(functions: Sequence[Callable[[Any], Any]]) -> None:
+    _FUNCTIONS.set(functions)
     follow_parent()
-    with suppress(Exception):
-        while True:
-            j, x = pipe.recv()
-            pipe.send(functions[j](x))
+
+
+def _compute(batch: list[tuple[int, Any]]) -> list[Any]:
+    return list(in_turn(_FUNCTIONS.get())(batch))

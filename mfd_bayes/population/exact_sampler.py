@@ -179,7 +179,7 @@ class ExactSampler:
         pairs = "nja,jab,njb->nj"
         gaussian = -0.5 * np.einsum(pairs, distance, self.fit.precision, distance, optimize=True)
         exact = self.evaluate((j, np.ascontiguousarray(x[:, j])) for j in range(x.shape[1]))
-        excess = np.stack(exact, axis=1) - gaussian
+        excess = np.stack(list(exact), axis=1) - gaussian
         for j, unpooled in enumerate(self.unpooled):
             if np.any(unpooled):
                 excess[:, j] += self.fit.tests[j].coordinates.log_prior(x[:, j], unpooled)

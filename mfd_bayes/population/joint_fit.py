@@ -232,7 +232,7 @@ class _Fit:
 
     def _linearise(self) -> None:
         """Take the residuals and the slopes of the force at x."""
-        linearisations = self.evaluate((j, row[None]) for j, row in enumerate(self.x))
+        linearisations = list(self.evaluate((j, row[None]) for j, row in enumerate(self.x)))
         self.left, self.slopes = [f[0] for f in linearisations], [-f[1:].T for f in linearisations]
 
     def weights(self) -> list[Array]:

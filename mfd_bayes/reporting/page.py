@@ -576,7 +576,7 @@ def _draw(
             (folder / "tests" / test.id / name).unlink(missing_ok=True)
     functions = [partial(draw_test, folder, replace(view, tests=()))] * len(tests)
     with several_processes(functions, processes) as evaluate:
-        of_tests = evaluate(enumerate(tests))
+        of_tests = list(evaluate(enumerate(tests)))
     shared = [
         *figures.draw_shared(view),
         *((addition.name, addition.figure) for addition in additions),
