@@ -77,7 +77,8 @@ _FEATURES = {
 def convergence_checks(test: str, rows: Iterable[Row], effort: Effort) -> list[Check]:
     """R-hat and effective sample sizes against the effort's targets.
 
-    A quantity that is not sampled has NaN for R-hat, and no check; an infinite R-hat fails.
+    A quantity that is not sampled has NaN for R-hat, and no check; an infinite R-hat fails. A row
+    may say which share of the target is enough for its tail.
     """
     checks = []
     for row in rows:
@@ -85,9 +86,13 @@ def convergence_checks(test: str, rows: Iterable[Row], effort: Effort) -> list[C
             continue
         verdict = CheckStatus.of(row["r_hat"] <= effort.r_hat)
         checks.append(Check(test, "R-hat", row["name"], row["r_hat"], effort.r_hat, verdict))
-        for name, key in (("bulk ESS", "ess_bulk"), ("tail ESS", "ess_tail")):
-            enough = CheckStatus.of(row[key] >= effort.ess)
-            checks.append(Check(test, name, row["name"], row[key], effort.ess, enough))
+        tail = effort.ess * row.get("tail_share", 1.0)
+        for name, key, ess in (
+            ("bulk ESS", "ess_bulk", effort.ess),
+            ("tail ESS", "ess_tail", tail),
+        ):
+            enough = CheckStatus.of(row[key] >= ess)
+            checks.append(Check(test, name, row["name"], row[key], ess, enough))
     return checks
 
 

@@ -81,6 +81,18 @@ def law_rows(run: Run) -> Rows:
     return tuple(rows)
 
 
+def convergence_rows(population: Population) -> Rows:
+    """Convergence of the sampled levels that the table of the laws does not show."""
+    design, sampled = population.design, population.convergence
+    levels = slice(len(sampled.r_hat) - design.tabled.size, None)
+    figures = {key: np.broadcast_to(a, sampled.r_hat.shape) for key, a in vars(sampled).items()}
+    return tuple(
+        {"name": name} | {key: float(values[levels][k]) for key, values in figures.items()}
+        for k, name in enumerate(design.names)
+        if not design.tabled[k]
+    )
+
+
 def _row(name: str, unit: str, draws: Array, note: str, **figures: float) -> Row:
     blank = dict.fromkeys(("ess_bulk", "ess_tail", "r_hat", "contraction"), float("nan"))
     head: Row = {"test": "population", "name": name, "unit": unit}

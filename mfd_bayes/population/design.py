@@ -521,6 +521,14 @@ class Design:
         sd[len(self.names) :][[c in CONDITIONS for c in pairs]] = DRIFT
         return sd
 
+    @property
+    def tabled(self) -> NDArray[np.bool_]:
+        """Whether the table of the laws shows each of the levels and slopes."""
+        shown = np.ones(self.z_sd.size, dtype=bool)
+        if self.coordinates.by_name:  # that of a user's own model shows all levels
+            shown[: len(self.names)] = [name in self.laws for name in self.names]
+        return shown
+
     def changed(self, covariate: str, setting: TestConditions) -> float:
         """Change of a condition from the mean of the tests, over their span.
 

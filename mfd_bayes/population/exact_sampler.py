@@ -34,10 +34,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import (
-    Convergence,
-    measure,
-)
+from mfd_bayes.calibration.diagnostics import TAIL_SHARE, Convergence, measure
 from mfd_bayes.calibration.proposal import Proposal, fit_mixture, fit_proposal
 from mfd_bayes.jobs.local import Evaluate, in_turn
 from mfd_bayes.population.joint_fit import Array, Index, JointFit
@@ -54,6 +51,7 @@ STORED = 2**26  # most numbers of the tests' coordinates that are held
 # how often the Gaussians are fitted anew, sweeps before each and after the last, of which the first
 # quarter is forgotten, and kept sweeps before the first look at the convergence
 REFITS, WARM_UP, FIRST = 3, 20, 40
+LOOK = 1.4  # least growth of the kept sweeps from look to look
 RIDGE = 3.0  # of the least squares, for the few draws of a large campaign
 LEAST = 1e-3  # least precision of a test over that of its posterior, in any direction
 ACCEPT = 0.3  # share of moves of the tests that is to be accepted
@@ -83,7 +81,7 @@ class PopulationDraws(NamedTuple):
     h: Array  # (chain, draw, dim)
     z: Array  # (chain, draw, Z)
     x: Array  # (chain, draw, J, D)
-    convergence: Convergence  # of h and of the levels in z
+    convergence: Convergence  # of h, and of the levels and slopes in z
     sweeps: int
     accepted: tuple[float, float]  # shares of accepted moves of tests and of the population
 
@@ -371,6 +369,8 @@ class ExactSampler:
         self.warming_up = False
         self.rates.clear()
         stride = max(1, self.state.x.size * limit // STORED)
+        tabled = self.mixed.design.tabled
+        shown = np.concatenate([np.ones(self.mixed.dim, dtype=bool), tabled])
         h: list[Array] = []
         z: list[Array] = []
         x: list[NDArray[np.float32]] = []
@@ -382,15 +382,16 @@ class ExactSampler:
                 z.append(self.state.z)
                 if (len(h) - 1) % stride == 0:
                     x.append(np.asarray(self.state.x, dtype=np.float32))
-            # of the coordinates of h and of the levels, across groups of chains
-            columns = np.concatenate([np.array(h), np.array(z)[..., : self.d]], axis=2)
+            # of the coordinates of h, the levels and the slopes, across groups of chains
+            columns = np.concatenate([np.array(h), np.array(z)[..., : tabled.size]], axis=2)
             grouped = columns.reshape(len(h), CHAINS, columns.shape[1] // CHAINS, -1)
-            convergence = measure(np.swapaxes(grouped, 0, 1))
+            tail_share = np.where(shown, 1.0, TAIL_SHARE)
+            convergence = measure(np.swapaxes(grouped, 0, 1), tail_share)
             report(len(h), convergence)
             if convergence.reached(r_hat, ess) or len(h) >= limit:
                 break
             share = max(convergence.share(r_hat, ess), 1e-9)
-            look = min(limit, math.ceil(len(h) * np.clip(1.1 / share, 1.25, 2.0)))
+            look = min(limit, math.ceil(len(h) * np.clip(1.1 / share, LOOK, 2.0)))
         n_states = max(1, min(len(x), n_kept // (len(self.choice) // CHAINS)))
         steps = np.linspace(0, len(x) - 1, n_states).astype(int)
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -66,7 +66,7 @@ ELSEWHERE = 0.2  # probability that a repeat begins without load or anywhere
 BEFORE = 0.75
 MOST = 0.95  # largest probability that tests begin without load
 SLOW = 1e3  # time between two displacements of a motion without speed, s
-FORMAT = "mixed model 1"  # kind of stored population; others are not read
+FORMAT = "mixed model 2"  # kind of stored population; others are not read
 _RESIDUAL = ("mean", "covariance", "log_shape")
 _FIGURES = ("slip_force", "stroke_share", "lag_one", "noise_time", "travel")
 
@@ -815,5 +815,5 @@ def _population(
         priors=priors.parameters,
         actuation_unit=facts["actuation_unit"],
         walkers=int(facts["walkers"]),
-        convergence=Convergence(*(np.array(facts[k]) for k in ("r_hat", "ess_bulk", "ess_tail"))),
+        convergence=Convergence(*(np.array(facts[f.name]) for f in fields(Convergence))),
     )

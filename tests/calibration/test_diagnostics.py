@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from mfd_bayes.calibration.diagnostics import (
+    Convergence,
     autocorrelation_time,
     find_directions,
     find_pairs,
@@ -39,6 +40,14 @@ def test_stuck_walkers_have_a_long_autocorrelation_time():
     # the control: the same places visited in a random order by every walker
     order = np.random.default_rng(4).normal(size=(4, steps, 20, 1))
     assert autocorrelation_time(order)[0] < 2
+
+
+@pytest.mark.parametrize(("share", "reached"), [(1.0, False), (0.25, True)])
+def test_a_tail_may_have_a_share_of_what_is_asked_of_the_bulk(share, reached):
+    ones, bulk, tail = np.ones(2), np.array([500.0, 450.0]), np.array([480.0, 120.0])
+    convergence = Convergence(ones, bulk, tail, np.array([1.0, share]))
+    assert convergence.reached(1.01, 400.0) is reached
+    assert convergence.worst_ess == min(450.0, 120.0 / share)
 
 
 def test_a_shifted_ensemble_and_a_drift_in_time_raise_r_hat():

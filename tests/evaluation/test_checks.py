@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.calibration.diagnostics import TAIL_SHARE, Convergence, Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import StoreError
 from mfd_bayes.evaluation.checks import (
@@ -20,6 +20,7 @@ from mfd_bayes.evaluation.checks import (
     standing_out,
     uncommon_device_values,
 )
+from mfd_bayes.evaluation.laws import convergence_rows
 from mfd_bayes.evaluation.summary import assess, verdict_sentences, views_of_tests
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.jobs import local
@@ -49,6 +50,20 @@ def test_an_ensemble_that_is_stuck_fails_the_verdict():
     facts = {"autocorrelation": {"k2": 10.0, "d2": None}, "steps": 500, "discarded": 100}
     check = length_check("p500", facts, effort)
     assert (check.feature, check.observed, check.status) == ("d2", 0.0, "fail")
+
+
+def test_a_level_that_no_table_shows_is_checked_and_a_quarter_is_enough_for_its_tail():
+    population = make_population([TestConditions(1.0)] * 6, shape=(4, 25))
+    design, measured = population.design, population.convergence
+    levels = measured.ess_tail[-design.tabled.size :].copy()
+    for name, ess in {"k3": 150.0, "k2": 50.0, "Fc_fwd": 50.0}.items():
+        levels[design.names.index(name)] = ess
+    share = np.full(levels.size, TAIL_SHARE)
+    measured = Convergence(np.ones(levels.size), np.full(levels.size, 900.0), levels, share)
+    rows = convergence_rows(replace(population, convergence=measured))
+    checks = convergence_checks("population", rows, Effort(ess=400.0, limit=8000))
+    assert [(c.check, c.feature) for c in checks if c.status == "fail"] == [("tail ESS", "k2")]
+    assert "v_s" in {c.feature for c in checks}  # the table of the laws has Fc_fwd itself
 
 
 SECONDS = np.arange(0.0, 10.0, 1 / 128)

@@ -131,6 +131,7 @@ def make_population(
         np.tile(h, (weight.size, 1)), np.resize(z[0], (weight.size, z.shape[-1])),
         pairs[..., 0], pairs[..., 1],
     )  # fmt: skip
+    watched = np.full(h.size + len(design.shapes) + design.tabled.size, 900.0)
     prior_names = {*medians, "start", "gamma1"} & set(priors.parameters)
     return Population(
         design=design,
@@ -148,7 +149,7 @@ def make_population(
         priors={name: priors.parameters[name] for name in prior_names},
         actuation_unit="ksi",
         walkers=10,
-        convergence=Convergence(np.ones(1), np.ones(1), np.ones(1)),
+        convergence=Convergence(watched / 900.0, watched, watched),
     )
 
 
