@@ -88,6 +88,10 @@ class Convergence:
         """Smallest effective sample size: of a bulk, or of a tail divided by its share."""
         return float(min(self.ess_bulk.min(), np.min(self.ess_tail / self.tail_share)))
 
+    def figures(self, k: int = 0) -> dict[str, float]:
+        """R̂ and both effective sample sizes of one coordinate, by their names in tables."""
+        return {n: float(getattr(self, n)[k]) for n in ("r_hat", "ess_bulk", "ess_tail")}
+
     def reached(self, r_hat: float, ess: float) -> bool:
         """Whether every coordinate meets both limits."""
         return self.worst_r_hat <= r_hat and self.worst_ess >= ess

@@ -120,8 +120,7 @@ def _stored_of(task: Task, posterior: Posterior, draws: Draws) -> CalibratedTest
     chains, convergence = draws.chains, {}
     for name, value in values.items():
         if np.ptp(value) > 0:
-            measured = measure_draws(value, chains.walkers)
-            convergence[name] = [float(figure[0]) for figure in vars(measured).values()]
+            convergence[name] = [*measure_draws(value, chains.walkers).figures().values()]
     facts = {
         "test": task.id,
         "model": posterior.model.name,

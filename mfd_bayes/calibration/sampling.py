@@ -428,8 +428,7 @@ class Draws:
                 low, middle, high = np.quantile(draws, [0.025, 0.5, 0.975]).tolist()
                 row = {"unit": unit_of.get(name, ""), "mean": draws.mean(), "sd": draws.std()}
                 row |= {"q2.5": low, "q50": middle, "q97.5": high}
-                convergence = vars(measure_draws(draws, self.chains.walkers))
-                rows[name] = row | {key: float(value[0]) for key, value in convergence.items()}
+                rows[name] = row | measure_draws(draws, self.chains.walkers).figures()
         return pd.DataFrame.from_dict(rows, orient="index")
 
     def to_inference_data(self, seed: int = 0) -> Any:

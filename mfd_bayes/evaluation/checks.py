@@ -19,17 +19,11 @@ from mfd_bayes.calibration.diagnostics import (
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.campaign.schema import complete_tolerances
-from mfd_bayes.evaluation.properties import (
-    EXTREME,
-    share_above,
-)
-from mfd_bayes.evaluation.scores import Row, Rows
-from mfd_bayes.evaluation.views import (
+from mfd_bayes.evaluation.assessment import (
     CONTRACTION,
     COVERAGE,
     DIRECTIONS,
     FREE_EXPONENT,
-    INFORMED,
     LENGTH,
     LOOP_ESTIMATE,
     MODES,
@@ -37,11 +31,17 @@ from mfd_bayes.evaluation.views import (
     SCATTER,
     Check,
 )
+from mfd_bayes.evaluation.properties import (
+    EXTREME,
+    share_above,
+)
+from mfd_bayes.evaluation.scores import Row, Rows
+from mfd_bayes.evaluation.views import INFORMED
 from mfd_bayes.messages import Measure, Message
 from mfd_bayes.population.bands import PredictionOptions
 from mfd_bayes.population.design import TestConditions
 from mfd_bayes.records.cycles import PROPERTIES, TOLERANCES, MeasuredCycles
-from mfd_bayes.runs.manifest import CheckStatus, Finding
+from mfd_bayes.runs.findings import CheckStatus, Finding
 from mfd_bayes.runs.run import Run, sequence_of
 
 Array = NDArray[np.float64]

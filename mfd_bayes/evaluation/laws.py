@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import contraction, measure_draws
+from mfd_bayes.calibration.diagnostics import TAIL_SHARE, contraction, measure_draws
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.evaluation.bounds import sessions_of
 from mfd_bayes.evaluation.scores import Row, Rows, fan_of, spread_of
@@ -52,7 +52,7 @@ def law_rows(run: Run) -> Rows:
             name not in run.model.standard_names
         ):  # what follows a law, at the reference actuation of the laws
             draws = population.median(name, [design.reference])[..., 0]
-            converged = _converged(draws, population.walkers)
+            converged = measure_draws(draws, population.walkers).figures()
             rows.append(_row(name, kinds[name], draws, f"{law} law; at {level}", **converged))
         shapes = dict(zip(("share", "exponent"), population.shapes(name), strict=True))
         constants |= {
@@ -61,7 +61,7 @@ def law_rows(run: Run) -> Rows:
     if not run.model.standard_names:
         for name in (n for n in design.names if n in run.model.parameters and n not in design.laws):
             draws = population.median(name, [design.reference])[..., 0]
-            converged = _converged(draws, population.walkers)
+            converged = measure_draws(draws, population.walkers).figures()
             rows.append(_row(name, kinds[name], draws, "median over the tests", **converged))
     spreads = {f"scatter_{name}": tau for name, tau in population.scatters.items()}
     spreads |= {f"deviation_{name}": omega for name, omega in population.effect_sds.items()}
@@ -76,7 +76,7 @@ def law_rows(run: Run) -> Rows:
         if name in prior_sd:
             shrunk = float(contraction(np.array([prior_sd[name]]), draws.reshape(-1, 1))[0])
         note = NOT_INFORMED if shrunk < INFORMED else ""
-        figures = _converged(draws, population.walkers) | {"contraction": shrunk}
+        figures = measure_draws(draws, population.walkers).figures() | {"contraction": shrunk}
         rows.append(_row(name, negative.get(name) or law_unit(name, unit), draws, note, **figures))
     return tuple(rows)
 
@@ -84,10 +84,9 @@ def law_rows(run: Run) -> Rows:
 def convergence_rows(population: Population) -> Rows:
     """Convergence of the sampled levels that the table of the laws does not show."""
     design, sampled = population.design, population.convergence
-    levels = slice(len(sampled.r_hat) - design.tabled.size, None)
-    figures = {key: np.broadcast_to(a, sampled.r_hat.shape) for key, a in vars(sampled).items()}
+    first = len(sampled.r_hat) - design.tabled.size
     return tuple(
-        {"name": name} | {key: float(values[levels][k]) for key, values in figures.items()}
+        {"name": name, "tail_share": TAIL_SHARE} | sampled.figures(first + k)
         for k, name in enumerate(design.names)
         if not design.tabled[k]
     )
@@ -97,13 +96,6 @@ def _row(name: str, unit: str, draws: Array, note: str, **figures: float) -> Row
     blank = dict.fromkeys(("ess_bulk", "ess_tail", "r_hat", "contraction"), float("nan"))
     head: Row = {"test": "population", "name": name, "unit": unit}
     return head | spread_of(draws) | blank | figures | {"note": note}
-
-
-def _converged(draws: Array, walkers: int) -> dict[str, float]:
-    """R-hat and effective sample sizes of draws (chain, draw)."""
-    measured = measure_draws(draws, walkers)
-    bulk, tail = float(measured.ess_bulk[0]), float(measured.ess_tail[0])
-    return {"r_hat": measured.worst_r_hat, "ess_bulk": bulk, "ess_tail": tail}
 
 
 def mixed_rows(run: Run, level: str) -> list[Row]:

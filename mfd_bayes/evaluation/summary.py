@@ -22,6 +22,19 @@ from mfd_bayes.calibration.priors import SCALED, units
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import MfdError, StoreError
 from mfd_bayes.evaluation import checks
+from mfd_bayes.evaluation.assessment import (
+    CALIBRATION,
+    COVERAGE,
+    FREE_EXPONENT,
+    LOOP_ESTIMATE,
+    MODES,
+    PREDICTIVE,
+    REPORT,
+    SAMPLING,
+    SCATTER,
+    Check,
+    Judgement,
+)
 from mfd_bayes.evaluation.checks import (
     SCALE_NOTE,
     contradicted_order,
@@ -49,20 +62,9 @@ from mfd_bayes.evaluation.properties import (
 )
 from mfd_bayes.evaluation.scores import Row, Rows, fan_of, score, score_record, spread_of
 from mfd_bayes.evaluation.views import (
-    CALIBRATION,
-    COVERAGE,
-    FREE_EXPONENT,
     INFORMED,
-    LOOP_ESTIMATE,
-    MODES,
     NOT_INFORMED,
-    PREDICTIVE,
-    REPORT,
-    SAMPLING,
-    SCATTER,
     CampaignView,
-    Check,
-    Judgement,
     LeftOutView,
     Marginal,
     TestView,
@@ -73,7 +75,8 @@ from mfd_bayes.population.bands import PredictionOptions
 from mfd_bayes.population.design import Design
 from mfd_bayes.population.peaks import SIDES
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.manifest import CampaignCrossValidation, CheckStatus, Finding, Fitness, Manifest
+from mfd_bayes.runs.findings import CheckStatus, Finding, Fitness
+from mfd_bayes.runs.manifest import CampaignCrossValidation, Manifest
 from mfd_bayes.runs.run import Run, prediction_conditions, sequence_of
 from mfd_bayes.runs.unit_system import SI, both_systems
 

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import Identifiability
+from mfd_bayes.evaluation.assessment import REPORT, Assessment, Check
 from mfd_bayes.evaluation.scores import QuantileBand, Row, Rows
 from mfd_bayes.friction.model import Model
-from mfd_bayes.messages import Measure, Message, Writer
+from mfd_bayes.messages import Message
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.manifest import CheckStatus, Comparison, Finding, Fitness
+from mfd_bayes.runs.manifest import Comparison
 from mfd_bayes.runs.tested_range import Range
 from mfd_bayes.runs.unit_system import SYSTEMS, UnitSystem
 
@@ -29,97 +30,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-FREE_EXPONENT = "exponent if the law were a power law"
-SCATTER = "scatter between tests"
-CONTRACTION = "prior variance removed"
-DIRECTIONS = "directions informed"
-PREDICTIVE = "posterior predictive"
-LOOP_ESTIMATE = "estimate from the loop"
-COVERAGE = "share of samples inside a band"
-LENGTH = "autocorrelation times kept"
-MODES = "modes found"
-CALIBRATION = "calibration"
-REPORT = "report"
-IDENTIFIABILITY = (CONTRACTION, DIRECTIONS)
-"""Names of the checks of what the data inform; beyond its limit such a check is a note."""
-SAMPLING = ("R-hat", "bulk ESS", "tail ESS", LENGTH)
-"""Names of the checks that say whether the sampling can be trusted."""
-
 INFORMED = 0.5  # least contraction of a parameter that the data inform
 NOT_INFORMED = "the data do not determine this parameter: its posterior is about its prior"
 """Note of a parameter with less contraction."""
 
 DEFAULT_LIMITS: Mapping[str, float] = {"all": 0.15}
 """Of ASCE/SEI 7 for the properties of a single device against their nominal values (18.2.4.5)."""
-
-_LIMITS = {
-    **dict.fromkeys(("bulk ESS", "tail ESS", LENGTH, CONTRACTION, DIRECTIONS), ">= {:g}"),
-    "R-hat": "<= {:g}",
-    FREE_EXPONENT: "interval holds {:g}",
-    MODES: "{:g}",
-}
-
-
-@dataclass(frozen=True)
-class Check:
-    """One comparison of a value with what is expected of it, in `unit`.
-
-    `test` is an id, or "population"; `check` and `feature` are such as "R-hat" of a parameter, or
-    "posterior predictive" of a feature of a record. `expected` is the limit of a diagnostic, or
-    the value of the model; `difference` expected less observed, as a share of what is measured;
-    `tolerance` the difference up to which nobody minds. A figure that there is not is NaN.
-    """
-
-    test: str
-    check: str
-    feature: str
-    observed: float
-    expected: float
-    status: CheckStatus
-    unit: str = "1"
-    difference: float = float("nan")
-    tolerance: float = float("nan")
-    p_value: float = float("nan")
-    note: str = ""
-
-    @property
-    def limit(self) -> str:
-        """What passes, in words: "<= 1.01"."""
-        return _LIMITS.get(self.check, "{:.3g}").format(self.expected)
-
-    @property
-    def message(self) -> Message:
-        """The comparison as a sentence: "peak force forward 3.68 kip where 2.9 kip is expected"."""
-        values: dict[str, Measure | str] = {"feature": self.feature}
-        if self.check == COVERAGE:
-            return Message(f"{{feature}}: {self.observed:.0%} of the samples are inside", values)
-        for name, value in (("observed", self.observed), ("expected", self.expected)):
-            has_unit = self.unit not in ("1", "dimensionless")
-            values[name] = Measure.of(value, unit=self.unit) if has_unit else f"{value:.3g}"
-        if self.check == PREDICTIVE:
-            return Message(f"{self.feature} {{observed}} where {{expected}} is expected", values)
-        return Message(f"{self.check} of {{feature}}: {{observed}} ({self.limit})", values)
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """What a test may be used for, and why.
-
-    `reasons` have the worst first. Tests are ranked by `misfit`, in tolerances. `wrong` says if
-    something is wrong with its record or its fit, and not only with its sampling; `notes` are what
-    a reader must know besides, no reason for distrust.
-    """
-
-    subject: str
-    use: Fitness
-    reasons: tuple[Message, ...]
-    misfit: float
-    wrong: bool = False
-    notes: tuple[Message, ...] = ()
-
-    def to_text(self, writer: Writer) -> str:
-        """Reasons and notes in a reader's units; "" where there are none."""
-        return "; ".join(m.to_text(writer) for m in (*self.reasons, *self.notes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,29 +190,25 @@ class Datasheet:
     formulas: Mapping[str, str]  # how each quantity is computed
 
 
-@dataclass(frozen=True, eq=False)
-class CampaignView:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CampaignView(Assessment):
     """The whole report.
 
-    `verdict` and `sentences`, the worst first, say what the run may be used for, and `judgements`
-    what each calibrated test, the one to believe least first. `failures` are tests without a
-    result, and why. `law_rows` are constants of the laws, their shapes, and the scatter of each
-    quantity; `common` the quantities with one value for all tests; `law_scores` how well each law
-    predicts levels that were left out, the best first, and `law_choices` that in sentences. `truth`
-    are the true values of a synthetic campaign: whether `inside` the interval, and `informed` by
-    data. `metric` says which of both `systems` the report begins with, `tested` what the
-    calibrated tests cover, `drifts` what follows a date, a count of cycles or a temperature.
+    `failures` are tests without a result, and why. `law_rows` are constants of the laws, their
+    shapes, and the scatter of each quantity; `common` the quantities with one value for all tests;
+    `law_scores` how well each law predicts levels that were left out, the best first, and
+    `law_choices` that in sentences. `truth` are the true values of a synthetic campaign: whether
+    `inside` the interval, and `informed` by data. `metric` says which of both `systems` the report
+    begins with, `tested` what the calibrated tests cover, `drifts` what follows a date, a count of
+    cycles or a temperature.
     """
 
     title: str
-    verdict: Fitness
-    sentences: tuple[Message, ...]
     actuation_unit: str
     tests: tuple[TestView, ...]
     failures: Mapping[str, str]
     laws: tuple[LawView, ...]
     law_rows: Rows
-    checks: tuple[Check, ...]
     truth: Rows
     provenance: Mapping[str, str]
     remarks: tuple[Message, ...]
@@ -305,8 +217,6 @@ class CampaignView:
     law_choices: Mapping[str, str] = field(default_factory=dict)
     left_out: LeftOutView | None = None
     comparison: Comparison | None = None
-    judgements: tuple[Judgement, ...] = ()
-    warnings: tuple[Finding, ...] = ()
     metric: bool = False
     systems: tuple[UnitSystem, UnitSystem] = SYSTEMS
     tested: tuple[Range, ...] = ()
@@ -317,11 +227,6 @@ class CampaignView:
     def whole(self) -> bool:
         """Whether it shows every test that it could."""
         return all(check.check != REPORT for check in self.checks)
-
-    @property
-    def unusable(self) -> bool:
-        """Whether the run must not be used: a check failed, or something is wrong with a test."""
-        return self.verdict == Fitness.NOT_USABLE
 
     @property
     def system(self) -> UnitSystem:

@@ -31,9 +31,11 @@ from mfd_bayes.pipeline.options import (
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from mfd_bayes.evaluation.views import CampaignView, Check
+    from mfd_bayes.evaluation.assessment import Assessment, Check
+    from mfd_bayes.evaluation.views import CampaignView
     from mfd_bayes.pipeline.plan import Plan
-    from mfd_bayes.runs.manifest import Comparison, Finding
+    from mfd_bayes.runs.findings import Finding
+    from mfd_bayes.runs.manifest import Comparison
     from mfd_bayes.runs.unit_system import UnitSystem
 
 WIDTH, LINES = 100, 10
@@ -166,13 +168,13 @@ def _complete(options: Calibration, out: Path | None) -> Calibration:
 
 def run_check(options: CheckOptions) -> None:
     """Print checks and verdict of a run; exit code 1 where it is not usable."""
-    from mfd_bayes.pipeline.report import check
+    from mfd_bayes.pipeline.check import check
 
-    view = check(options.out, options.units, trust_model=options.trust_model)
+    assessment, system = check(options.out, options.units, trust_model=options.trust_model)
     if not options.quiet:
-        _print_checks(view, every=options.every)
-    _print_sentences(view)
-    if view.unusable:
+        _print_checks(assessment, system, every=options.every)
+    _print_sentences(assessment, system)
+    if assessment.unusable:
         raise typer.Exit(1)
 
 
@@ -331,53 +333,52 @@ def _print_left_out(view: CampaignView, *, quiet: bool = False) -> None:
     say(scores.sentence)
 
 
-def _print_checks(view: CampaignView, *, every: bool) -> None:
+def _print_checks(assessment: Assessment, system: UnitSystem, *, every: bool) -> None:
     """Print what misses, one line each; or a table of every check before."""
     if every:
         heads = ("test", "check", "feature", "observed", "expected", "status")
         rows = [
             (
-                *(c.test, c.check, c.feature, _figure(view, c.observed, c.unit)),
-                *(_expected(view, c), c.status),
+                *(c.test, c.check, c.feature, _figure(system, c.observed, c.unit)),
+                *(_expected(system, c), c.status),
             )
-            for c in view.checks
+            for c in assessment.checks
         ]
         print_rows("Checks", heads, rows, folded=len(heads))
-    for line in _missed_lines(view):
+    for line in _missed_lines(assessment, system):
         say(line)
 
 
-def _missed_lines(view: CampaignView) -> list[str]:
+def _missed_lines(assessment: Assessment, system: UnitSystem) -> list[str]:
     """What misses: warnings, checks that fail or are missed, and tests that are not just usable."""
-    from mfd_bayes.runs.manifest import CheckStatus, Fitness
+    from mfd_bayes.runs.findings import CheckStatus, Fitness
 
-    system = view.system
     return [
-        *(f"warning: {f.subject}: {f.message.to_text(system)}" for f in view.warnings),
+        *(f"warning: {f.subject}: {f.message.to_text(system)}" for f in assessment.warnings),
         *(
             f"{c.status}: {c.test}: {c.message.to_text(system)}"
-            for c in view.checks
+            for c in assessment.checks
             if c.status in (CheckStatus.FAIL, CheckStatus.WARNING)
         ),
         *(
             f"{j.use}: {j.subject}: {j.to_text(system)}"
-            for j in view.judgements
+            for j in assessment.judgements
             if j.use != Fitness.USABLE
         ),
     ]
 
 
-def _figure(view: CampaignView, value: float, unit: str) -> str:
-    """A value in the units of a view."""
+def _figure(system: UnitSystem, value: float, unit: str) -> str:
+    """A value in the units of a system."""
     if unit in ("1", "dimensionless"):
         return f"{value:.4g}"
-    return view.system.words([value], unit)
+    return system.words([value], unit)
 
 
-def _expected(view: CampaignView, check: Check) -> str:
+def _expected(system: UnitSystem, check: Check) -> str:
     """What passes a check, with its tolerance where it has one."""
     dimensionless = check.unit in ("1", "dimensionless")
-    limit = check.limit if dimensionless else _figure(view, check.expected, check.unit)
+    limit = check.limit if dimensionless else _figure(system, check.expected, check.unit)
     return f"{limit} ({check.tolerance:.0%})" if math.isfinite(check.tolerance) else limit
 
 
@@ -395,7 +396,7 @@ def _print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
         say(line)
     if quiet:
         return
-    missed, room = _missed_lines(view), LINES - len(verdict) - 2
+    missed, room = _missed_lines(view, system), LINES - len(verdict) - 2
     for line in missed[:room]:
         say(textwrap.shorten(clean(line), WIDTH, placeholder=" …"))
     more = f"{len(missed) - room} more, and " if len(missed) > room else ""
@@ -403,7 +404,7 @@ def _print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
     say(f"look next at {out / 'report.html'}")
 
 
-def _print_sentences(view: CampaignView) -> None:
-    """Print the verdict on a run, a line for each of its sentences, in the units of a view."""
-    for sentence in view.sentences:
-        say(sentence.to_text(view.system))
+def _print_sentences(assessment: Assessment, system: UnitSystem) -> None:
+    """Print the verdict on a run, a line for each of its sentences."""
+    for sentence in assessment.sentences:
+        say(sentence.to_text(system))

@@ -19,10 +19,8 @@ from mfd_bayes.records.cross_checks import Tested, compare_tests
 from mfd_bayes.records.data_quality import SPOILED, Fault, Inspection, inspect_record
 from mfd_bayes.records.record import Record, read_record
 from mfd_bayes.records.trace import Trace
+from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.folder import check_outputs
-from mfd_bayes.runs.manifest import (
-    Finding,
-)
 from mfd_bayes.runs.unit_system import UnitSystem, named_system, system_of
 from mfd_bayes.store.files import write_bytes
 from mfd_bayes.units import split_quantity

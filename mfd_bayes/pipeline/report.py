@@ -1,14 +1,14 @@
-"""The report of a finished run, and its checks."""
+"""The report of a finished run."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 from mfd_bayes.applications.properties.datasheet import datasheet, parse_condition
 from mfd_bayes.errors import MfdError, ReportError
+from mfd_bayes.evaluation.assessment import write_assessment
 from mfd_bayes.evaluation.summary import assess, verdicts
-from mfd_bayes.evaluation.views import IDENTIFIABILITY, CampaignView
+from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.jobs.job import Observe, Step, Workplace
 from mfd_bayes.jobs.local import get_ready
 from mfd_bayes.reporting.options import ReportOptions
@@ -19,13 +19,10 @@ from mfd_bayes.runs.folder import (
     check_places,
 )
 from mfd_bayes.runs.manifest import (
-    CheckStatus,
     read_manifest,
 )
 from mfd_bayes.runs.run import Run, open_run, rewrite_manifest
 from mfd_bayes.runs.unit_system import SI, named_system
-
-# --- the report of a run, its checks and the table of its draws
 
 
 def report(
@@ -75,18 +72,5 @@ def write_report(
     observe(Step("report", "data sheet"))
     sheet = datasheet(replace(run, units=system.name), conditions) if run.tests else None
     publish(view, options, processes, observe, sheet, additions)
+    write_assessment(run.folder, view, run.manifest.files, run.system)
     return view
-
-
-def check(folder: Path, units: str = "", *, trust_model: bool = False) -> CampaignView:
-    """Report of a finished run with the checks that `mfd-bayes check` shows; writes nothing.
-
-    Its sentences are in the units of a system, "us" or "si"; by default the campaign's.
-    """
-    run = open_run(folder, trust=trust_model)
-    metric = named_system(units, run.system).name == SI.name
-    view = assess(run)
-    checks = [
-        c for c in view.checks if c.check not in IDENTIFIABILITY or c.status != CheckStatus.PASS
-    ]
-    return replace(view, metric=metric, checks=tuple(checks))

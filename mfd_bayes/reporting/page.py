@@ -28,8 +28,9 @@ from markupsafe import Markup, escape
 
 from mfd_bayes.calibration.noises import NOISES
 from mfd_bayes.errors import ReportError
+from mfd_bayes.evaluation.assessment import FREE_EXPONENT
 from mfd_bayes.evaluation.scores import width_sentence
-from mfd_bayes.evaluation.views import FREE_EXPONENT, CampaignView, Datasheet, TestView
+from mfd_bayes.evaluation.views import CampaignView, Datasheet, TestView
 from mfd_bayes.jobs.job import JobState, Step
 from mfd_bayes.jobs.local import several_processes
 from mfd_bayes.messages import Measure, Message

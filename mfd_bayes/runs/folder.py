@@ -51,6 +51,9 @@ WRITTEN = re.compile(
 )
 """Names of the files that a run and its report write in these folders; others are not theirs."""
 
+ASSESSMENT = "assessment.json"
+"""Checks and verdict of a run, for `mfd-bayes check`."""
+
 DRAWS = ("draws.csv", "draws.parquet")
 ADVICE = ("next.csv", "next.json", "next.png")
 """What `mfd-bayes next` writes into a run folder where it is told no other place."""
@@ -61,7 +64,8 @@ OUTPUTS = (
     *(f"{name}.csv" for name in (*_TABLES.split(), "tested_range")),
     *(f"{name}.{form}" for name in ("parameters", "laws") for form in ("json", "tex")),
     *("datasheet.csv", "datasheet.tex"),
-    *(*_ON_REQUEST, *DRAWS, "report.html", "datasheet.html", POPULATION, CAMPAIGN, PRIORS, MODEL),
+    *(*_ON_REQUEST, *DRAWS, "report.html", "datasheet.html"),
+    *(ASSESSMENT, POPULATION, CAMPAIGN, PRIORS, MODEL),
 )
 """Files that a run and its report write, but for the manifest and what lies in folders."""
 

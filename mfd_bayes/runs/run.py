@@ -31,6 +31,7 @@ from mfd_bayes.population.population import FinalState, Population
 from mfd_bayes.records.cycles import MeasuredCycles
 from mfd_bayes.records.record import NO_ACTUATION
 from mfd_bayes.records.trace import Trace, check_trace
+from mfd_bayes.runs.findings import Fitness
 from mfd_bayes.runs.folder import (
     MODEL,
     POPULATION,
@@ -40,7 +41,7 @@ from mfd_bayes.runs.folder import (
     posterior_of,
     record_of,
 )
-from mfd_bayes.runs.manifest import Fitness, Manifest, is_calibrated_model, read_manifest
+from mfd_bayes.runs.manifest import Manifest, is_calibrated_model, read_manifest
 from mfd_bayes.runs.test_sequence import NO_GAP, TestSequence, stored_pooled
 from mfd_bayes.runs.tested_range import (
     Extrapolation,

@@ -7,12 +7,12 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mfd_bayes.errors import UnitError
-from mfd_bayes.records.trace import Trace
 from mfd_bayes.units import (
     DAMPER,
     UNITS,
@@ -25,6 +25,9 @@ from mfd_bayes.units import (
     in_digits,
     in_place_of,
 )
+
+if TYPE_CHECKING:
+    from mfd_bayes.records.trace import Trace
 
 SMALL = 0.2
 """Devices whose largest force, kip, is below this are shown in lbf or N."""

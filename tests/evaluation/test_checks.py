@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.diagnostics import TAIL_SHARE, Convergence, Effort
+from mfd_bayes.calibration.diagnostics import Convergence, Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import StoreError
 from mfd_bayes.evaluation.checks import (
@@ -58,8 +58,7 @@ def test_a_level_that_no_table_shows_is_checked_and_a_quarter_is_enough_for_its_
     levels = measured.ess_tail[-design.tabled.size :].copy()
     for name, ess in {"k3": 150.0, "k2": 50.0, "Fc_fwd": 50.0}.items():
         levels[design.names.index(name)] = ess
-    share = np.full(levels.size, TAIL_SHARE)
-    measured = Convergence(np.ones(levels.size), np.full(levels.size, 900.0), levels, share)
+    measured = Convergence(np.ones(levels.size), np.full(levels.size, 900.0), levels)
     rows = convergence_rows(replace(population, convergence=measured))
     checks = convergence_checks("population", rows, Effort(ess=400.0, limit=8000))
     assert [(c.check, c.feature) for c in checks if c.status == "fail"] == [("tail ESS", "k2")]

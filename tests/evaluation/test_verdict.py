@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.evaluation.assessment import LOOP_ESTIMATE, MODES, Check
 from mfd_bayes.evaluation.checks import GROSS, coverage_checks, feature_check
 from mfd_bayes.evaluation.summary import judge, use_of, verdict_sentences
-from mfd_bayes.evaluation.views import LOOP_ESTIMATE, MODES, Check
 from mfd_bayes.messages import Message, join
-from mfd_bayes.runs.manifest import CheckStatus, Finding, Fitness
+from mfd_bayes.runs.findings import CheckStatus, Finding, Fitness
 from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.units import DAMPER
 

@@ -10,13 +10,11 @@ import pandas as pd
 import pytest
 
 from mfd_bayes.calibration.diagnostics import Directions, Identifiability, Pair
+from mfd_bayes.evaluation.assessment import PREDICTIVE, Check, Judgement
 from mfd_bayes.evaluation.scores import Interval, QuantileBand
 from mfd_bayes.evaluation.views import (
-    PREDICTIVE,
     CampaignView,
-    Check,
     Datasheet,
-    Judgement,
     LawView,
     LeftOutView,
     Marginal,
@@ -27,7 +25,7 @@ from mfd_bayes.messages import Measure, Message
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.reporting.options import ReportOptions
 from mfd_bayes.reporting.page import publish
-from mfd_bayes.runs.manifest import CheckStatus, Fitness
+from mfd_bayes.runs.findings import CheckStatus, Fitness
 
 THETA = (100, 0.05, 0.02, 1.3, 1.0, 1.5, 1.2, 0.5, 20, 0.1, 0.12, 1, 0.006, 0.5)
 UNITS = {"Fc_fwd": "kip", "k3": "kip/in", "gamma1": "1"}

@@ -15,17 +15,11 @@ from itertools import pairwise
 import pytest
 
 from mfd_bayes.console import say
-from mfd_bayes.evaluation.views import FREE_EXPONENT, PREDICTIVE, Check, Judgement
+from mfd_bayes.evaluation.assessment import FREE_EXPONENT, PREDICTIVE, Check, Judgement
 from mfd_bayes.messages import Measure, Message
 from mfd_bayes.reporting.figures import draw_overview
-from mfd_bayes.runs.manifest import (
-    CheckStatus,
-    ComparedEstimate,
-    Comparison,
-    ComparisonRow,
-    Finding,
-    Fitness,
-)
+from mfd_bayes.runs.findings import CheckStatus, Finding, Fitness
+from mfd_bayes.runs.manifest import ComparedEstimate, Comparison, ComparisonRow
 from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.store.files import commented, quoted
 

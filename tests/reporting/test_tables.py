@@ -13,8 +13,8 @@ import pandas as pd
 import pytest
 
 from mfd_bayes.applications.prediction.tables import predicted_csv
-from mfd_bayes.evaluation.views import Check
-from mfd_bayes.runs.manifest import CheckStatus
+from mfd_bayes.evaluation.assessment import Check
+from mfd_bayes.runs.findings import CheckStatus
 
 KIP = 4.4482216  # kN
 SPECIAL = r"a_b%c&d#e$f\g{h}i~j^k|l<m>"

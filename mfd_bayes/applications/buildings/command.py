@@ -35,8 +35,8 @@ from mfd_bayes.population.design import SAME_LEVEL
 from mfd_bayes.reporting.page import Units, picture, render_page
 from mfd_bayes.reporting.symbols import unit_text
 from mfd_bayes.reporting.tables import escape_tex, to_csv
+from mfd_bayes.runs.findings import Fitness
 from mfd_bayes.runs.folder import check_folder
-from mfd_bayes.runs.manifest import Fitness
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import Range
 from mfd_bayes.runs.unit_system import SI, SYSTEMS, UnitSystem

@@ -22,7 +22,7 @@ from mfd_bayes.messages import Message
 from mfd_bayes.records.cycles import PROPERTIES, RECORD, DeviceProperty, MeasuredCycles
 from mfd_bayes.records.record import NO_ACTUATION
 from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
-from mfd_bayes.runs.manifest import Fitness
+from mfd_bayes.runs.findings import Fitness
 from mfd_bayes.runs.run import Run
 from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
 
