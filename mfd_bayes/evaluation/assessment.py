@@ -8,12 +8,12 @@ from pathlib import Path
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from mfd_bayes.errors import hash_file
+from mfd_bayes.errors import StoreError, hash_file
 from mfd_bayes.messages import Measure, Message, Writer
 from mfd_bayes.runs.findings import CheckStatus, Finding, Fitness
 from mfd_bayes.runs.folder import ASSESSMENT, MANIFEST, check_stored
 from mfd_bayes.runs.unit_system import UnitSystem
-from mfd_bayes.store.files import write_text
+from mfd_bayes.store.files import read_json, write_text
 
 FREE_EXPONENT = "exponent if the law were a power law"
 SCATTER = "scatter between tests"
@@ -151,10 +151,10 @@ def stored_assessment(folder: Path) -> tuple[Assessment, UnitSystem] | None:
     Raises StoreError where a file of the run is missing or is not what it wrote.
     """
     try:
-        stored = TypeAdapter(_Stored).validate_json((folder / ASSESSMENT).read_bytes())
+        stored = TypeAdapter(_Stored).validate_python(read_json(folder / ASSESSMENT))
         if stored.manifest != hash_file(folder / MANIFEST):
             return None
-    except (OSError, ValidationError):
+    except (OSError, StoreError, ValidationError):
         return None
     for name in stored.files:
         check_stored(folder, name, stored.files)

@@ -212,6 +212,9 @@ def test_check_exits_by_the_verdict(out, copied):
     everything = here("check", out, "--all")
     assert everything.exit_code == int(verdicts["campaign"] == "not usable"), everything.output
     assert "R-hat" in everything.stdout
+    (copied / "assessment.json").unlink()
+    computed = here("check", copied, "--all")
+    assert computed.stdout == everything.stdout
     manifest = json.loads((copied / "manifest.json").read_text())
     manifest["effort"]["ess"] = 1e9
     (copied / "manifest.json").write_text(json.dumps(manifest))
