@@ -57,8 +57,7 @@ from mfd_bayes.store.netcdf import load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
 
 if TYPE_CHECKING:
-    from mfd_bayes.applications.buildings.response import Response
-    from mfd_bayes.applications.next_test.study import Advice
+    pass
 
 PEAK_DRAWS = 100  # of each test's force, by which the excess of measured peaks is learned
 
@@ -558,18 +557,6 @@ class Run:
 
         forecaster.complete = complete
         return forecaster
-
-    def respond(self, building: Any, grounds: Any, **options: Any) -> Response:
-        """Response of a building with this device as its dampers, as by `mfd_bayes.respond`."""
-        from mfd_bayes.applications.buildings.respond import respond
-
-        return respond(self, building, grounds, **options)
-
-    def next_test(self, goal: Any = None, candidates: Any = None, **options: Any) -> Advice:
-        """Tests that could be made next, as by `mfd_bayes.next_test`."""
-        from mfd_bayes.applications.next_test.next_test import next_test
-
-        return next_test(self, goal, candidates, **options)
 
 
 def rewrite_manifest(run: Run, **updates: Any) -> Run:

@@ -49,7 +49,7 @@ def test_it_advises_and_writes_table_json_picture_and_draft(words, copied, tmp_p
     entries = tomllib.loads(draft.read_text())["test"]
     assert len(entries) == 2
     assert {entry["actuation"] for entry in entries} <= {"1000 psi", "1900 psi"}
-    advice = mb.open_run(copied).next_test(candidates=FEW, draws=300)  # the same in Python
+    advice = mb.next_test(mb.open_run(copied), candidates=FEW, draws=300)  # the same in Python
     assert list(table["expected_reduction"]) == pytest.approx(advice["reduction"], rel=1e-4)
 
 
@@ -92,10 +92,10 @@ def test_the_goal_of_the_campaign_file_is_taken(copied, tmp_path):
     manifest = json.loads((folder / "manifest.json").read_text())
     manifest["settings"] |= tomllib.loads(GOAL)  # as a campaign with this goal is stored
     (folder / "manifest.json").write_text(json.dumps(manifest))
-    advice = mb.open_run(folder).next_test(draws=300)
+    advice = mb.next_test(mb.open_run(folder), draws=300)
     assert (advice.goal.quantity, advice.unit) == ("energy", "kip*in")
     assert sorted(row.candidate.actuation for row in advice) == [0.5, 1.0]
-    explicit = mb.open_run(folder).next_test(goal="band at 500 psi", draws=300)
+    explicit = mb.next_test(mb.open_run(folder), goal="band at 500 psi", draws=300)
     assert (explicit.goal.quantity, len(explicit)) == ("band", 2)
 
 

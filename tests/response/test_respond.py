@@ -48,12 +48,12 @@ def path(tmp_path_factory):
 @pytest.fixture(scope="module")
 def device(run, path):
     """The response of a few draws of the mean device."""
-    return run.respond(path, GROUND, draws=12, seed=1, kind="mean")
+    return mb.respond(run, path, GROUND, draws=12, seed=1, kind="mean")
 
 
 @pytest.fixture(scope="module")
 def response(run, path):
-    return run.respond(path, [GROUND, GROUND.scaled(2.0)], draws=40, seed=1)
+    return mb.respond(run, path, [GROUND, GROUND.scaled(2.0)], draws=40, seed=1)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def test_the_call_of_the_contract(run, path, device):
     assert device.force.shape == device.travel.shape == device.energy.shape == (12, 1, 2)
     assert np.all(device.energy > 0)
     assert device.imbalance.max() < 1e-3
-    again = run.respond(path, [GROUND], draws=12, seed=1, kind="mean")
+    again = mb.respond(run, path, [GROUND], draws=12, seed=1, kind="mean")
     assert np.array_equal(again.drift, device.drift)
     rows = [row for row in device.rows() if row["quantity"] == "drift"]
     narrow, wide = (rows[0]["bands"][share] for share in ("50", "95"))
@@ -143,7 +143,7 @@ def test_a_dampers_force_is_the_peak_that_design_says_of_the_same_motion(run, tm
     )
     time, speed = np.arange(301) / 50, np.pi
     ground = Ground("sine", 0.02, speed**2 * np.cos(speed * time))
-    response = run.respond(building, ground, draws=400, seed=1)
+    response = mb.respond(run, building, ground, draws=400, seed=1)
     travel = response.travels[0][0, :, 0].astype(float)
     trace = mb.Trace.from_arrays(time, travel, actuation=1.0)
     rows = {(row["name"], row["basis"]): row for row in design_rows(run, trace)}
@@ -164,7 +164,7 @@ def test_dampers_side_by_side_are_one_of_their_force(run, device, tmp_path, coun
     storey = STOREY.replace("20 kip", f"{20 * count} kip").replace("8 kip", f"{8 * count} kip")
     places = PLACES.replace("storey =", f"count = {count}\nstorey =")
     path.write_text(f"{2 * storey}{places}")
-    several = run.respond(path, GROUND, draws=12, seed=1, kind="mean")
+    several = mb.respond(run, path, GROUND, draws=12, seed=1, kind="mean")
     assert not np.any(several.unstable | several.unsettled)
     assert several.imbalance.max() < 1e-3
     for name, reference in device.references.items():
@@ -232,7 +232,7 @@ def test_a_history_that_ends_early_or_leaves_the_tests_is_told(run, tmp_path):
         ("1000,1.2", None),
     ):
         (tmp_path / "valve.csv").write_text(f"time_s,pressure_ksi\n0,1.0\n{final}\n")
-        response = run.respond(path, GROUND, draws=12, kind="mean", tolerance=0.2)
+        response = mb.respond(run, path, GROUND, draws=12, kind="mean", tolerance=0.2)
         remarks = [remark for remark in response.remarks if "actuation" in remark]
         assert bool(remarks) == (words is not None)
         assert all(words in remark for remark in remarks)
@@ -277,15 +277,15 @@ def test_a_mistake_is_one_sentence(run, respond, path, tmp_path):
         assert not (tmp_path / "r").exists()
     trace = next(iter(run.tests.values())).trace
     for ask in (
-        lambda: run.respond(path, GROUND, draws=10**9),
+        lambda: mb.respond(run, path, GROUND, draws=10**9),
         lambda: run.predict(trace, draws=10**9),
-        lambda: run.next_test(draws=10**9),
+        lambda: mb.next_test(run, draws=10**9),
     ):
         with pytest.raises(mb.MfdError, match="draws must be a whole number of at most 100000"):
             ask()
     (tmp_path / "b.toml").write_text(BUILDING.replace("1000 psi", "40 lbf"))
     with pytest.raises(BuildingError, match="must be a pressure, as in the campaign"):
-        run.respond(tmp_path / "b.toml", GROUND)
+        mb.respond(run, tmp_path / "b.toml", GROUND)
 
 
 def test_peaks_are_printed_and_must_be_possible_or_meant(respond, quake, tmp_path, small_pictures):
