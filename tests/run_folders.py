@@ -129,6 +129,7 @@ def _write_population(path, priors, names, settings, rng):
     share, exponent = design.law_shapes(h[:, begin:], choice)
     draws = {"h": h[:, :begin], "z": 0.1 * rng.normal(size=(12, design.quantity.size))}
     draws |= {"share": share, "exponent": exponent}
+    watched = np.full(h.shape[1] + design.tabled.size, 500.0)
     zeros = np.zeros(2 * KNOTS)
     learned = 0.01 * rng.normal(size=zeros.size), 1e-4 * np.eye(zeros.size), zeros
     population = Population(
@@ -143,7 +144,7 @@ def _write_population(path, priors, names, settings, rng):
         priors=priors.parameters,
         actuation_unit="ksi",
         walkers=6,
-        convergence=Convergence(np.ones(2), np.full(2, 500.0), np.ones(2)),
+        convergence=Convergence(watched / 500.0, watched, watched),
     )
     save_population(path, population)
 

@@ -18,14 +18,8 @@ ROOMS = (
     *("records", "friction", "store", "jobs", "calibration", "population", "campaign"),
     *("runs", "evaluation", "reporting", "applications", "pipeline", "cli"),
 )
-THIN = {
-    "mfd_bayes.runs.run imports mfd_bayes.reporting.notebook",
-    "mfd_bayes.runs.run imports mfd_bayes.applications.buildings.respond",
-    "mfd_bayes.runs.run imports mfd_bayes.applications.buildings.response",
-    "mfd_bayes.runs.run imports mfd_bayes.applications.next_test.next_test",
-    "mfd_bayes.runs.run imports mfd_bayes.applications.next_test.study",
-}
-"""Methods of a run that do nothing but call the function of an application."""
+THIN = {"mfd_bayes.runs.run imports mfd_bayes.reporting.notebook"}
+"""What a run takes from a room above: how it shows itself in a notebook."""
 RUN_CODE = {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve", "yaml"}
 """Libraries whose files may hold code: what we read is data."""
 
