@@ -186,6 +186,7 @@ class Goals:
 
     values: Array  # (n, m): draws of each goal, internal units
     probability: float = 0.95  # of the band whose width is to be reduced
+    seed: int | Sequence[int] = 0  # of the bootstrap
 
     @cached_property
     def widths(self) -> Array:
@@ -204,6 +205,45 @@ class Goals:
         widths = self.widths
         return 1.0 - np.sqrt(share) @ widths / max(float(widths.sum()), 1e-300)
 
+    @cached_property
+    def centred(self) -> Array:
+        """Each draw less the mean of all others, (n, m): as far off as what is left out."""
+        n = len(self.values)
+        return np.asarray((self.values - self.values.mean(axis=0)) * (n / (n - 1.0)))
+
+    @cached_property
+    def weights(self) -> Array:
+        """Weights of the draws, (1 + RESAMPLES, n): all alike, then those of the bootstrap."""
+        n, rng = len(self.values), np.random.default_rng(self.seed)
+        counts = rng.multinomial(n, np.full(n, 1.0 / n), RESAMPLES)
+        return np.concatenate([np.ones((1, n)), counts])
+
+    @cached_property
+    def squares(self) -> Array:
+        """Weighted sums of the squares of what is known now, (1 + RESAMPLES, m)."""
+        return np.maximum(self.weights @ self.centred**2, 1e-300)
+
+    @cached_property
+    def _ways(self) -> Array:
+        """Principal directions of the goals over their sd, (up to MOST, m)."""
+        scale = np.maximum(self.centred.std(axis=0), 1e-300)
+        _, sizes, ways = np.linalg.svd(self.centred / scale, full_matrices=False)
+        explained = np.cumsum(sizes**2) / max(float(np.sum(sizes**2)), 1e-300)
+        rank = min(int(np.searchsorted(explained, EXPLAINED)) + 1, MOST, len(sizes))
+        return np.asarray(ways[:rank] / scale)
+
+    def log_determinants(self, values: Array) -> Array:
+        """Of the covariance of deviations (n, m) in the principal directions, (1 + RESAMPLES,)."""
+        scores, rank = values @ self._ways.T, len(self._ways)
+        products = np.einsum("ni,nj->nij", scores, scores).reshape(len(values), -1)
+        sums = (self.weights @ products).reshape(-1, rank, rank)
+        return np.asarray(np.linalg.slogdet(sums / self.weights.sum(axis=1)[:, None, None])[1])
+
+    @cached_property
+    def known(self) -> Array:
+        """Logarithms of the determinants of what is known now, (1 + RESAMPLES,)."""
+        return self.log_determinants(self.centred)
+
 
 @dataclass(frozen=True)
 class Gain:
@@ -221,17 +261,14 @@ def directions_of(summaries: Array) -> Array:
     Each summary is replaced by the normal score of its rank, so that its form and outliers do not
     matter; what does not vary, and what repeats others, is dropped.
     """
-    size = np.maximum(np.abs(summaries).max(axis=0, initial=0.0), 1e-300)
+    n, size = len(summaries), np.maximum(np.abs(summaries).max(axis=0, initial=0.0), 1e-300)
     varies = summaries.std(axis=0) > FLAT * size
     if not varies.any():
-        return np.empty((len(summaries), 0))
-    from scipy.stats import rankdata  # which takes long to import
-
-    ranks = rankdata(summaries[:, varies], axis=0)
-    scores = special.ndtri((ranks - 0.5) / len(summaries))
-    scores -= scores.mean(axis=0)
+        return np.empty((n, 0))
+    order, scores = np.argsort(summaries[:, varies], axis=0), np.empty((n, np.sum(varies)))
+    np.put_along_axis(scores, order, special.ndtri((np.arange(n) + 0.5) / n)[:, None], axis=0)
     u, sizes, _ = np.linalg.svd(scores, full_matrices=False)
-    return np.asarray(u[:, sizes**2 > SAME * np.sum(sizes**2)] * np.sqrt(len(summaries)))
+    return np.asarray(u[:, sizes**2 > SAME * np.sum(sizes**2)] * np.sqrt(n))
 
 
 def fit_left_out(goals: Array, directions: Array) -> Array:
@@ -259,34 +296,19 @@ def fit_left_out(goals: Array, directions: Array) -> Array:
     return min(residuals, key=lambda residual: float(np.sum(np.mean(residual**2, axis=0) / scale)))
 
 
-def gain_of(goals: Goals, residuals: Array, rng: np.random.Generator) -> Gain:
+def gain_of(goals: Goals, residuals: Array) -> Gain:
     """Gain of the test that leaves so much of the goals, (n, m); see `fit_left_out`.
 
     The expected remaining variance of a goal is the mean square of what is left; a band's width
     goes with its root. Information is half the logarithm of the ratio of the determinants of the
     goals' covariance before and after, in their principal directions.
     """
-    n = len(residuals)
-    counts = rng.multinomial(n, np.full(n, 1.0 / n), RESAMPLES)
-    weights = np.concatenate([np.ones((1, n)), counts])
     # both are means of squares over draws that were left out: without information they are equal
-    centred = (goals.values - goals.values.mean(axis=0)) * (n / (n - 1.0))
-    share = weights @ residuals**2 / np.maximum(weights @ centred**2, 1e-300)
-    scale = np.maximum(centred.std(axis=0), 1e-300)
-    _, sizes, ways = np.linalg.svd(centred / scale, full_matrices=False)
-    explained = np.cumsum(sizes**2) / max(float(np.sum(sizes**2)), 1e-300)
-    rank = min(int(np.searchsorted(explained, EXPLAINED)) + 1, MOST, len(sizes))
-
-    def log_determinants(values: Array) -> Array:
-        scores = values / scale @ ways[:rank].T
-        products = np.einsum("ni,nj->nij", scores, scores).reshape(n, -1)
-        means = (weights @ products).reshape(-1, rank, rank) / weights.sum(axis=1)[:, None, None]
-        return np.asarray(np.linalg.slogdet(means)[1])
-
+    share = goals.weights @ residuals**2 / goals.squares
     figures = []
     for values in (
         goals.narrower(share),
-        0.5 * (log_determinants(centred) - log_determinants(residuals)),
+        0.5 * (goals.known - goals.log_determinants(residuals)),
     ):
         figures += [max(float(values[0]), 0.0), float(np.std(values[1:], ddof=1))]
     return Gain(*figures)
@@ -444,7 +466,7 @@ class Study:
         values = self._goal(goal, places, now)
         size = np.maximum(np.abs(values).max(axis=0, initial=0.0), 1e-300)
         varying = np.ptp(values, axis=0) > 1e-9 * size
-        self.goals = Goals(values[:, varying], goal.probability)
+        self.goals = Goals(values[:, varying], goal.probability, [seed, BOOTSTRAP])
         if not varying.any():
             raise CampaignError(
                 f"the {goal.words} is the same in all draws of this run: its law or its prior "
@@ -512,9 +534,8 @@ class Study:
         """Gain of tests whose summaries have these directions: the mean of several copies."""
         gains = []
         for directions in copies:
-            residuals = fit_left_out(self.goals.values, directions)
-            rng = np.random.default_rng([self.seed, BOOTSTRAP])
-            gains.append(list(vars(gain_of(self.goals, residuals, rng)).values()))
+            gain = gain_of(self.goals, fit_left_out(self.goals.values, directions))
+            gains.append(list(vars(gain).values()))
         return Gain(*np.mean(gains, axis=0).tolist())
 
     def gain_of_set(self, numbers: Sequence[int]) -> Gain:
