@@ -544,13 +544,16 @@ RANKS = 10
 STAGES = {2: "stick", 4: "gap", 3: "build-up", 1: "slip"}
 """Stages in their order within a stroke."""
 
+COLUMNS = 4
+"""Columns of small panels."""
+
 _PLAIN = "{x:.4g}"  # of tick labels
 _BLUE = BANDS["observation"][1]
 
 
 def _small_panels(title: str, number: int) -> tuple[Figure, list[Axes]]:
-    """Panels in four columns; fixed margins are much faster than the constrained layout."""
-    columns = min(4, number)
+    """Panels in `COLUMNS` columns; fixed margins are much faster than the constrained layout."""
+    columns = min(COLUMNS, number)
     rows = -(-number // columns)
     height = 1.4 * rows + 0.75
     figure = new_figure(10, height, layout="none")
@@ -582,7 +585,12 @@ def draw_ranks(
             axes.stairs(heights, edges, color=CHAINS[chain % len(CHAINS)])
         axes.axhline(1.0, color=DATA, linewidth=0.6)
         axes.set_title(symbols.in_figure(marginal.name), fontsize=8)
-        axes.set(xlim=(0.0, 1.0), ylim=(0.0, max(2.0, axes.get_ylim()[1])))
+    top = max(2.0, *(axes.get_ylim()[1] for axes in panels))
+    columns = min(COLUMNS, len(panels))
+    for number, axes in enumerate(panels):  # labels at the edges only: to draw them takes long
+        axes.set(xlim=(0.0, 1.0), ylim=(0.0, top), xticks=(0.0, 0.5, 1.0))
+        is_low, is_left = number >= len(panels) - columns, number % columns == 0
+        axes.tick_params(labelbottom=is_low, labelleft=is_left)
     figure.supxlabel("rank among the draws of all chains, as a share", fontsize=8, y=0.01)
     return figure
 
