@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import TAIL_SHARE, contraction, measure_draws
+from mfd_bayes.calibration.diagnostics import contraction, measure_draws
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.evaluation.bounds import sessions_of
 from mfd_bayes.evaluation.scores import Row, Rows, fan_of, spread_of
@@ -81,14 +81,16 @@ def law_rows(run: Run) -> Rows:
     return tuple(rows)
 
 
-def convergence_rows(population: Population) -> Rows:
-    """Convergence of the sampled levels that the table of the laws does not show."""
+def convergence_rows(population: Population, table: Rows) -> Rows:
+    """Convergence of the sampled levels, but for those whose own the table of the laws has."""
     design, sampled = population.design, population.convergence
     first = len(sampled.r_hat) - design.tabled.size
+    tail_share = np.broadcast_to(sampled.tail_share, sampled.r_hat.shape)
+    has_own = {row["name"] for row in table if not np.isnan(row["r_hat"])}
     return tuple(
-        {"name": name, "tail_share": TAIL_SHARE} | sampled.figures(first + k)
+        {"name": name, "tail_share": float(tail_share[first + k])} | sampled.figures(first + k)
         for k, name in enumerate(design.names)
-        if not design.tabled[k]
+        if name not in has_own
     )
 
 

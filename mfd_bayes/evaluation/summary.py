@@ -96,14 +96,14 @@ def assess(run: Run, jobs: int = 1) -> CampaignView:
     """Everything that the report of a run shows, by one process or several."""
     tests, lost = views_of_tests(run, jobs)
     table, laws = law_rows(run), law_views(run)
-    manifest = run.manifest
+    manifest, levels = run.manifest, convergence_rows(run.population, table)
     failures = {name: entry.error for name, entry in manifest.tests.items() if entry.error}
     missing = [(name, CALIBRATION, "finished") for name in failures]
     missing += [(name, REPORT, "shown") for name in lost]
     checks = (
         *(check for view in tests for check in view.checks),
         *convergence_checks("population", table, manifest.effort),
-        *convergence_checks("population", convergence_rows(run.population), manifest.effort),
+        *convergence_checks("population", levels, manifest.effort),
         *exponent_checks(manifest.free_exponents),
         *scatter_checks(run),
         *(Check(*key, 0.0, 1.0, CheckStatus.FAIL) for key in missing),

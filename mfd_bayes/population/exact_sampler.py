@@ -370,7 +370,8 @@ class ExactSampler:
         self.rates.clear()
         stride = max(1, self.state.x.size * limit // STORED)
         tabled = self.mixed.design.tabled
-        shown = np.concatenate([np.ones(self.mixed.dim, dtype=bool), tabled])
+        shown = np.append(np.ones(self.mixed.dim, dtype=bool), tabled)
+        tail_share = np.where(shown, 1.0, TAIL_SHARE)
         h: list[Array] = []
         z: list[Array] = []
         x: list[NDArray[np.float32]] = []
@@ -385,7 +386,6 @@ class ExactSampler:
             # of the coordinates of h, the levels and the slopes, across groups of chains
             columns = np.concatenate([np.array(h), np.array(z)[..., : tabled.size]], axis=2)
             grouped = columns.reshape(len(h), CHAINS, columns.shape[1] // CHAINS, -1)
-            tail_share = np.where(shown, 1.0, TAIL_SHARE)
             convergence = measure(np.swapaxes(grouped, 0, 1), tail_share)
             report(len(h), convergence)
             if convergence.reached(r_hat, ess) or len(h) >= limit:

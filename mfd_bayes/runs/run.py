@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -55,9 +55,6 @@ from mfd_bayes.runs.unit_system import UnitSystem, named_system
 from mfd_bayes.store.cards import counted, grid
 from mfd_bayes.store.netcdf import load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
-
-if TYPE_CHECKING:
-    pass
 
 PEAK_DRAWS = 100  # of each test's force, by which the excess of measured peaks is learned
 

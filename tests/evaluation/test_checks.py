@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.diagnostics import Convergence, Effort
+from mfd_bayes.calibration.diagnostics import TAIL_SHARE, Convergence, Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import StoreError
 from mfd_bayes.evaluation.checks import (
@@ -52,17 +52,19 @@ def test_an_ensemble_that_is_stuck_fails_the_verdict():
     assert (check.feature, check.observed, check.status) == ("d2", 0.0, "fail")
 
 
-def test_a_level_that_no_table_shows_is_checked_and_a_quarter_is_enough_for_its_tail():
+def test_levels_are_checked_and_a_quarter_is_enough_for_a_tail_that_no_table_shows():
     population = make_population([TestConditions(1.0)] * 6, shape=(4, 25))
     design, measured = population.design, population.convergence
-    levels = measured.ess_tail[-design.tabled.size :].copy()
-    for name, ess in {"k3": 150.0, "k2": 50.0, "Fc_fwd": 50.0}.items():
-        levels[design.names.index(name)] = ess
-    measured = Convergence(np.ones(levels.size), np.full(levels.size, 900.0), levels)
-    rows = convergence_rows(replace(population, convergence=measured))
+    tail = measured.ess_tail[-design.tabled.size :].copy()
+    for name, ess in {"k3": 150.0, "k2": 50.0, "Fc_fwd": 150.0, "d3": 50.0}.items():
+        tail[design.names.index(name)] = ess
+    share = np.where(design.tabled, 1.0, TAIL_SHARE)
+    measured = Convergence(np.ones(tail.size), np.full(tail.size, 900.0), tail, share)
+    rows = convergence_rows(replace(population, convergence=measured), [row("d3")])
     checks = convergence_checks("population", rows, Effort(ess=400.0, limit=8000))
-    assert [(c.check, c.feature) for c in checks if c.status == "fail"] == [("tail ESS", "k2")]
-    assert "v_s" in {c.feature for c in checks}  # the table of the laws has Fc_fwd itself
+    failed = {(c.check, c.feature) for c in checks if c.status == "fail"}
+    assert failed == {("tail ESS", "k2"), ("tail ESS", "Fc_fwd")}
+    assert "d3" not in {c.feature for c in checks}  # the table has its own row of it
 
 
 SECONDS = np.arange(0.0, 10.0, 1 / 128)
