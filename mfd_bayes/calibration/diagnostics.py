@@ -135,7 +135,7 @@ def measure(chains: Array, tail_share: Array | float = 1.0) -> Convergence:
 
     R̂ compares ensembles and their halves in time, since the walkers of one ensemble are not
     independent chains. The effective sample size follows each walker along its steps. A quantity
-    that never moves has no R̂: NaN.
+    that never moves has no R̂: NaN. `tail_share` is that of `Convergence`.
     """
     r_hat, ess = _arviz()
     ensembles, steps, walkers, dim = chains.shape

@@ -523,9 +523,9 @@ class Design:
 
     @property
     def tabled(self) -> NDArray[np.bool_]:
-        """Whether the table of the laws shows each of the levels and slopes."""
+        """Whether each of the levels and slopes counts as shown by the table of the laws."""
         shown = np.ones(self.z_sd.size, dtype=bool)
-        if self.coordinates.by_name:  # that of a user's own model shows all levels
+        if self.coordinates.by_name:  # of a user's own model all count: it shows all parameters
             shown[: len(self.names)] = [name in self.laws for name in self.names]
         return shown
 
