@@ -49,7 +49,7 @@ def bounded(run: Run, effort: str) -> Iterator[dict]:
                 rows = {(r["name"], r["basis"]): r for r in design_rows(subset, trace, probability)}
                 for quantity, basis in BASIS.items():
                     line = {"test": name, "probability": probability, "property": quantity}
-                    bounds = ("lower", "upper", "lambda_min", "lambda_max")
+                    bounds = ("lower", "upper", "lower_ratio", "upper_ratio")
                     yield (
                         line
                         | {"own": values[quantity]}

@@ -25,6 +25,7 @@ from mfd_bayes.campaign.schema import (
     TABLES,
     CampaignFile,
     Column,
+    DesignTable,
     General,
     GoalTable,
     NoiseName,
@@ -32,6 +33,7 @@ from mfd_bayes.campaign.schema import (
     TestTable,
     keys_of,
 )
+from mfd_bayes.campaign.standard import Standard, read_standard
 from mfd_bayes.errors import CampaignError, UnitError, file_inside
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
@@ -47,7 +49,15 @@ from mfd_bayes.records.record import (
 )
 from mfd_bayes.records.table import header_unit
 from mfd_bayes.store.files import TomlError, faults_text, nearest, read_toml
-from mfd_bayes.units import DAMPER, ActuationUnit, Axes, actuation_factor, actuation_kind, measure
+from mfd_bayes.units import (
+    DAMPER,
+    ActuationUnit,
+    Axes,
+    actuation_factor,
+    actuation_kind,
+    measure,
+    parse_actuation,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +92,7 @@ class Campaign:
     settings: CampaignFile  # with its defaults, and the unit of each measured actuation
     tests: tuple[Test, ...]
     force_model: Model  # that `settings` names
+    standard: Standard | None = None  # that `settings.design` names
     replaced: bool = False  # whether it is not the file's own: its priors may have those of others
 
     @property
@@ -200,7 +211,33 @@ def load_campaign(
     goal = goal_settings(settings.goal, settings.actuation_unit, path, names).goal
     learned = [test.session for test in tests if test.role == "calibrate"]
     check_session(goal.session, learned, of=f"goal.session in {path}")
-    return Campaign(path, folder, settings, tuple(tests), force_model, replaced)
+    standard = None
+    if settings.design is not None:
+        standard = _standard_of(path, folder, settings, settings.design, axes)
+    return Campaign(path, folder, settings, tuple(tests), force_model, standard, replaced)
+
+
+def _standard_of(
+    path: Path, folder: Path, settings: CampaignFile, design: DesignTable, axes: Axes
+) -> Standard:
+    """The standard of a campaign; refuses a design of no damper, or without an actuation."""
+    if not (axes.of_damper and axes.timed):
+        raise CampaignError(
+            f"[design] in {path} is for dampers in time; the response of {settings.model} is "
+            f"{axes.response.name}: leave it out"
+        )
+    levels = {test.actuation for test in settings.test}
+    if design.target and design.actuation is None and len(levels) > 1:
+        raise CampaignError(
+            f"design.actuation is missing in {path}: {len(levels)} actuations were tested, at "
+            "which do the targets hold?"
+        )
+    if design.actuation and parse_actuation(design.actuation)[1] != settings.actuation_unit:
+        raise CampaignError(
+            f"design.actuation in {path} must be {actuation_kind(settings.actuation_unit)}, as in "
+            f"the tests, got {design.actuation!r}"
+        )
+    return read_standard(design.standard, folder, f"design.standard in {path}")
 
 
 def _check_own_names(path: Path, settings: CampaignFile, model: Model) -> None:

@@ -31,6 +31,7 @@ from mfd_bayes.population.design import complete_laws, default_laws
 from mfd_bayes.records import cycles
 from mfd_bayes.records.record import NO_ACTUATION, Source, Subtracted, step_of
 from mfd_bayes.records.table import COLUMNS, NAME
+from mfd_bayes.store.files import nearest
 from mfd_bayes.units import (
     ActuationUnit,
     actuation_factor,
@@ -480,6 +481,97 @@ class GoalTable(TomlTable):
     """of the actuator: velocity, stroke and force, `"10 in/s, 6 in, 20 kip"`"""
 
 
+def _quantity_name(name: object) -> object:
+    """Name of a quantity that cycles have, unchanged."""
+    if name not in cycles.quantities():
+        raise ValueError(
+            f"there is no quantity {name!r}; {nearest(str(name), cycles.quantities())}"
+        )
+    return name
+
+
+def _target_name(name: object) -> object:
+    """Name of a quantity, or of a property in one direction, unchanged."""
+    return name if cycles.properties_called(str(name)) else _quantity_name(name)
+
+
+def _target(target: object, info: ValidationInfo) -> object:
+    """A value with its unit, or a table of it and its tolerance."""
+    return {"value": target} if isinstance(target, str | int | float) else target
+
+
+def _in_unit_of(dimension: str) -> AfterValidator:
+    """Validator of a text that is a quantity of a dimension; it stays text."""
+    return _understood(lambda text: parse_quantity(text, dimension))
+
+
+QuantityName = Annotated[str, BeforeValidator(_quantity_name)]
+
+
+class FactorRange(TomlTable):
+    """Smallest and largest factor on a nominal property."""
+
+    min: Annotated[float, Field(gt=0, le=1, strict=True)] = 1.0
+    """at most 1"""
+    max: Annotated[float, Field(ge=1, le=10, strict=True)] = 1.0
+    """at least 1"""
+
+
+class Target(TomlTable):
+    """What a quantity should be, as the specification has it."""
+
+    value: QuantityText | float
+    """with its unit: `"2.4 kip"`"""
+    tolerance: Limit | None = None
+    """as a share, `"10 %"`; that of the standard, where it is left out"""
+
+    def internal(self, unit: str) -> float:
+        """The value in an internal unit."""
+        return self.value if isinstance(self.value, float) else parse_quantity(self.value, unit)
+
+
+class DesignTable(TomlTable):
+    """The table `[design]`: a standard, and what the building asks of the device."""
+
+    standard: Path1000
+    """`"asce7-22"`, `"asce7-16"`, `"en15129"`, `"ntc2018"`, or a file of your own of the same form,
+    inside the campaign's folder"""
+    T1: Annotated[QuantityText, _in_unit_of("time")] | None = None
+    """period of the building in its first mode, `"0.8 s"`"""
+    mce: Annotated[QuantityText, _in_unit_of("displacement")] | None = None
+    """largest displacement of the device from its middle, `"2 in"`: in the maximum considered
+    earthquake of ASCE 7, d_bd of EN 15129"""
+    actuation: Annotated[QuantityText, _understood(parse_actuation)] | None = None
+    """actuation at which the targets hold, `"1000 psi"`; needed where several were tested"""
+    target: dict[
+        Annotated[str, BeforeValidator(_target_name)], Annotated[Target, BeforeValidator(_target)]
+    ] = {}
+    """value of each quantity, `{ slip_force = "2.4 kip", energy = { value = "8 kip*in", tolerance
+    = "10 %" } }`; of one direction as `slip_fwd`"""
+    lambda_ae: FactorRange = FactorRange()
+    """of ageing and environment, `{ min = 0.9, max = 1.1 }`"""
+    lambda_spec: FactorRange = FactorRange()
+    """of the specification's tolerance on a device, likewise"""
+
+    @model_validator(mode="after")
+    def _units_of_targets(self) -> Self:
+        for name, target in self.target.items():
+            unit = cycles.properties_called(name)[0].unit
+            if isinstance(target.value, float) != (unit == "1"):
+                raise ValueError(f"target.{name} needs a {'number' if unit == '1' else 'unit'}")
+            try:
+                value = target.internal(unit)
+            except UnitError as error:
+                raise ValueError(f"target.{name}: {error}") from error
+            if not 0.0 < value < 1e6:
+                raise ValueError(f"target.{name} must be positive, got {target.value!r}")
+        return self
+
+    def target_of(self, item: cycles.DeviceProperty) -> Target | None:
+        """Target of a property: its own, else that of its quantity."""
+        return self.target.get(item.name) or self.target.get(item.quantity)
+
+
 class CampaignFile(TomlTable):
     """A whole campaign file; the manifest of a run holds it as `settings`."""
 
@@ -495,6 +587,7 @@ class CampaignFile(TomlTable):
         AfterValidator(_all_dependences),
     ] = {}
     goal: GoalTable | None = None
+    design: DesignTable | None = None
     tolerances: dict[Annotated[str, _one_of(lambda: TOLERANCES)], Tolerance] = {}
     limits: dict[Annotated[str, _one_of(lambda: ACCEPTANCE)], Limit] = {}
     test: Annotated[tuple[TestTable, ...], Field(min_length=1)]
@@ -580,6 +673,9 @@ TABLES: Mapping[str, type[TomlTable]] = MappingProxyType(
         "campaign": General,
         "columns": Columns,
         "goal": GoalTable,
+        "design": DesignTable,
+        "lambda_ae": FactorRange,
+        "lambda_spec": FactorRange,
         "test": TestTable,
         "actuation": Column,
         "time": TimeColumn,

@@ -74,6 +74,14 @@ time = { name = "time_s", unit = "s" }
 displacement = { name = "displacement_in", unit = "in" }
 force = { name = "force_kip", unit = "kip" }
 
+[design]  # an example: with it the data sheet says which requirements of a standard are met
+standard = "asce7-22"
+T1 = "1.33 s"
+mce = "1 in"
+actuation = "1000 psi"
+target = { slip_fwd = "1.5 kip", slip_bwd = "1.9 kip", energy = "6.6 kip*in" }
+lambda_spec = { min = 0.9, max = 1.1 }
+
 """
 _AFFINE = """\
 [laws]  # friction is affine: some is left without pressure

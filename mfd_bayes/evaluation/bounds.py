@@ -122,15 +122,15 @@ def bounds_of(draws: Mapping[str, Mapping[str, Array]], probability: float, note
 def bounds(mean: Array, drawn: Array, probability: float) -> dict[str, float]:
     """Nominal value, the mean of draws of any shape; equal-tailed bounds of others, and factors.
 
-    `lambda_min` and `lambda_max` are the bounds over the nominal value. What is not finite is left
-    out, and NaN where nothing remains.
+    `lower_ratio` and `upper_ratio` are the bounds over the nominal value. What is not finite is
+    left out, and NaN where nothing remains.
     """
     mean, drawn = mean[np.isfinite(mean)], drawn[np.isfinite(drawn)]
     tail, nan = 0.5 * (1.0 - probability), float("nan")
     nominal = float(mean.mean()) if mean.size else nan
     lower, upper = np.quantile(drawn, [tail, 1.0 - tail]).tolist() if drawn.size else (nan, nan)
     factors = [bound / nominal if nominal else nan for bound in (lower, upper)]
-    names = ("nominal", "lower", "upper", "lambda_min", "lambda_max")
+    names = ("nominal", "lower", "upper", "lower_ratio", "upper_ratio")
     return dict(zip(names, (nominal, lower, upper, *factors), strict=True))
 
 

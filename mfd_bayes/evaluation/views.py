@@ -179,11 +179,13 @@ class Datasheet:
     its largest cycle, NaN where nothing was tested. `nominal` is the mean of the mean property (the
     device at this actuation). `lower` and `upper` hold what `of` says, the value of a measured
     test, with 95 %, offset, noise and chatter included: `n_outside` of `n_tests` lie outside.
-    `lambda_min_other` and `lambda_max_other` are those of another device tested: NaN where all
-    tests are of one.
+    `first_three` is the mean of the first three cycles of a test, the nominal value of standards.
+    `lower_ratio` and `upper_ratio` are the bounds over `nominal`, `lower_ratio_other` and
+    `upper_ratio_other` those of another device tested: NaN where all tests are of one.
     """
 
     rows: pd.DataFrame
+    cycles: pd.DataFrame  # measured values of each cycle at full stroke of each harmonic test
     tested: Mapping[str, Message]  # ranges and numbers of what was tested, by name
     verdict: tuple[Message, ...]  # three; a fourth of other devices, where there are several
     not_known: tuple[Message, ...]  # what a standard asks for and these tests cannot tell

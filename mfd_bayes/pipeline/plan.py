@@ -143,6 +143,7 @@ def plan_campaign(
         effort=find_effort(options.effort),
         priors=f"{priors.title} ({priors.path.name})",
         settings=settings,
+        standard=campaign.standard,
         inputs=inputs,
         tests=entries,
         axes=campaign.axes,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mfd_bayes.applications.properties.datasheet import datasheet, parse_condition
+from mfd_bayes.applications.properties.datasheet import datasheet
+from mfd_bayes.applications.properties.harmonic import parse_condition
+from mfd_bayes.applications.properties.page import TABLES, standard_view
 from mfd_bayes.errors import MfdError, ReportError
 from mfd_bayes.evaluation.assessment import write_assessment
 from mfd_bayes.evaluation.summary import assess, verdicts
@@ -70,7 +72,13 @@ def write_report(
     if view.left_out is None:  # a table that an earlier cross-validation wrote
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
     observe(Step("report", "data sheet"))
-    sheet = datasheet(replace(run, units=system.name), conditions) if run.tests else None
+    shown = replace(run, units=system.name)
+    sheet = datasheet(shown, conditions) if run.tests else None
+    if run.tests and (standard := standard_view(shown)):
+        additions.append(standard.section())
+    else:  # tables of a standard that an earlier campaign named
+        for name in TABLES:
+            (run.folder / name).unlink(missing_ok=True)
     publish(view, options, processes, observe, sheet, additions)
     write_assessment(run.folder, view, run.manifest.files, run.system)
     return view

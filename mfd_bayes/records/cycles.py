@@ -42,7 +42,8 @@ class Cycle:
     @cached_property
     def stroke(self) -> float:
         """From the smallest to the largest displacement, in."""
-        return np.float64(np.ptp(self.displacement))
+        high, low = self._ends
+        return np.float64(self.displacement[high] - self.displacement[low])
 
     def slip_force(self, sign: float) -> Array:
         """Slip force forward (1) or backward (−1), (n,), kip."""
@@ -53,6 +54,33 @@ class Cycle:
         return np.asarray(np.max(sign * self.force, axis=1))
 
     @cached_property
+    def _ends(self) -> tuple[int, int]:
+        """Samples of the largest and of the smallest displacement, each at the end of its stroke.
+
+        The first sample is the end of the stroke before the cycle.
+        """
+        later = self.displacement[1:]
+        return int(later.argmax()) + 1, int(later.argmin()) + 1
+
+    def force_at_max(self, sign: float) -> Array:
+        """Force at the largest (1) or the smallest (−1) displacement, outward, (n,), kip."""
+        return np.asarray(sign * self.force[:, self._ends[0 if sign > 0.0 else 1]])
+
+    @property
+    def asymmetry(self) -> Array:
+        """Slip force forward over that backward, (n,)."""
+        backward = np.where(self.slip[:, 1] == 0.0, np.nan, self.slip[:, 1])
+        return np.asarray(self.slip[:, 0] / backward)
+
+    @property
+    def post_slip_stiffness(self) -> Array:
+        """Slope from zero to the largest displacement, mean of both directions, (n,), kip/in."""
+        reach = np.array([self.displacement[self._ends[0]], -self.displacement[self._ends[1]]])
+        ends = np.column_stack([self.force_at_max(1.0), self.force_at_max(-1.0)])
+        slopes = (ends - self.slip) / np.where(reach > 0.0, reach, np.nan)
+        return np.asarray(slopes.mean(axis=1))
+
+    @cached_property
     def energy(self) -> Array:
         """Area of the loop, ∮ F dx, (n,), kip*in."""
         return np.asarray(np.trapezoid(self.force, self.displacement, axis=1))
@@ -60,7 +88,7 @@ class Cycle:
     @cached_property
     def stiffness(self) -> Array:
         """Slope between the ends of the stroke, (n,), kip/in; NaN where it is zero."""
-        high, low = int(self.displacement.argmax()), int(self.displacement.argmin())
+        high, low = self._ends
         stiffness = (self.force[:, high] - self.force[:, low]) / self.stroke
         return np.where(stiffness == 0.0, np.nan, stiffness)
 
@@ -134,6 +162,11 @@ class DeviceProperty:
         """Name of its values of cycles, also in a stored run."""
         return self.stored or self.name
 
+    @property
+    def quantity(self) -> str:
+        """Its name on the data sheet and in standards: the same in both directions."""
+        return self.sheet or self.name
+
     def applies(self, axes: Axes) -> bool:
         """Whether it makes sense for a motion and a response."""
         return all(getattr(axes, name) for name in self.requires)
@@ -166,20 +199,31 @@ _PROPERTIES = (
         )
         for side, direction, sign in _DIRECTIONS
     ),
+    *(
+        DeviceProperty(
+            f"force_at_max_{side}", "kip", "force at maximum displacement", direction,
+            symbol=rf"F_{{D,\mathrm{{{side}}}}}",
+            meaning=f"force at maximum displacement, {direction}",
+            of_cycle=partial(Cycle.force_at_max, sign=sign), requires=("of_damper",),
+            sheet="force_at_max_displacement", design=8,
+            formula="force at the largest displacement of a cycle, and at the smallest",
+        )
+        for side, direction, sign in _DIRECTIONS
+    ),
     DeviceProperty(
         "effective_stiffness", "kip/in", "effective stiffness",
         symbol=r"K_\mathrm{eff}", meaning="effective stiffness",
         of_cycle=lambda cycle: cycle.stiffness,
         limit="stiffness", sheet="effective_stiffness", design=3,
         formula="K_eff = (|F+| + |F-|) / (|D+| + |D-|), F+ and F- at the largest and the smallest "
-        "displacement D+ and D- (ASCE/SEI 7, 17.2.8)",
+        "displacement D+ and D- (ASCE/SEI 7, Eq. 17.8-1)",
     ),
     DeviceProperty(
         "effective_damping", "1", "effective damping",
         symbol=r"\beta_\mathrm{eff}", meaning="effective damping ratio",
         of_cycle=lambda cycle: cycle.damping, requires=("energetic",),
         limit="damping", sheet="effective_damping", design=4,
-        formula="beta_eff = (2/pi) E_loop / (K_eff (|D+| + |D-|)^2) (ASCE/SEI 7, 17.2.8)",
+        formula="beta_eff = (2/pi) E_loop / (K_eff (|D+| + |D-|)^2) (ASCE/SEI 7, Eq. 17.8-2)",
     ),
     DeviceProperty(
         "energy_per_cycle", "kip*in", "energy per cycle",
@@ -211,7 +255,7 @@ _PROPERTIES = (
         symbol=r"k_\mathrm{up}", meaning="slope of the build-up",
         of_cycle=lambda cycle: mean_of(cycle.slope),
         requires=("of_damper",), estimate=True, rate_dependent=True, tolerance="build_up",
-        limit="build_up", accept_label="stiffness of the build-up",
+        limit="build_up", accept_label="stiffness of the build-up", sheet="build_up_slope",
         formula="slope of the force after the gap, from 20 % to 80 % of the slip force; mean of "
         "both strokes",
     ),
@@ -221,6 +265,20 @@ _PROPERTIES = (
         limit="gap", sheet="gap", design=7,
         formula="travel after a turn at which the line of the build-up, from 20 % to 80 % of the "
         "slip force, meets the slip force; mean of both strokes",
+    ),
+    DeviceProperty(
+        "forward_over_backward", "1", "slip force forward over backward",
+        symbol=r"F_{0,\mathrm{fwd}}/F_{0,\mathrm{bwd}}",
+        meaning="slip force forward over that backward", of_cycle=lambda cycle: cycle.asymmetry,
+        requires=("of_damper",), sheet="forward_over_backward",
+        formula="slip force forward over that backward, of a cycle",
+    ),
+    DeviceProperty(
+        "post_slip_stiffness", "kip/in", "stiffness after slip", symbol="K_2",
+        meaning="slope from zero to maximum displacement",
+        of_cycle=lambda cycle: cycle.post_slip_stiffness, requires=("of_damper",),
+        formula="K2: slope of the force from zero displacement (slip force) to maximum "
+        "displacement; mean of both directions",
     ),
     # of the parameters, not of a loop
     DeviceProperty(
@@ -237,6 +295,26 @@ _PROPERTIES = (
 )  # fmt: skip
 PROPERTIES: Mapping[str, DeviceProperty] = {p.name: p for p in _PROPERTIES}
 """By name, in the order of tables."""
+
+
+def quantities() -> dict[str, tuple[DeviceProperty, ...]]:
+    """Properties that cycles at full stroke have, one or two directions, by name of the quantity.
+
+    Standards and targets call them so.
+    """
+    by_name: dict[str, tuple[DeviceProperty, ...]] = {}
+    for item in PROPERTIES.values():
+        if item.of_cycle and item.extent == FULL:
+            by_name[item.quantity] = (*by_name.get(item.quantity, ()), item)
+    return by_name
+
+
+def properties_called(name: str) -> tuple[DeviceProperty, ...]:
+    """Properties of a quantity, in both directions, or the one of that name; none where unknown."""
+    single = PROPERTIES.get(name)
+    is_full = single is not None and single.of_cycle and single.extent == FULL
+    return quantities().get(name) or ((single,) if single is not None and is_full else ())
+
 
 _OF_CYCLES = {p.key: p.of_cycle for p in PROPERTIES.values() if p.of_cycle}
 

@@ -4,8 +4,8 @@ With D+ and D- the largest and the smallest displacement of a cycle and F+ and F
 
     K_eff = (F+ - F-) / (D+ - D-),    beta_eff = (2/pi) E / (K_eff (D+ - D-)^2),    E = ∮ F dx
 
-(ASCE/SEI 7, chapters 17 and 18; EN 15129 has the same damping as E / (2 pi K_eff d^2), with d half
-of the stroke).
+(ASCE/SEI 7, Eqs. 17.8-1 and 17.8-2; EN 15129 has the same damping as E / (2 pi K_eff d^2), with d
+half of the stroke).
 
 The slip force of a stroke is the mean of the force over the `WINDOW` about zero displacement, by
 displacement: wide enough for chatter, and inside the plateau. Zero displacement is the record's;

@@ -52,7 +52,9 @@ from mfd_bayes.reporting.tables import (
     to_excel,
     to_json,
     to_latex,
+    to_units,
     to_word,
+    with_motion,
 )
 from mfd_bayes.runs.unit_system import UnitSystem
 from mfd_bayes.store.files import write_bytes, write_text
@@ -74,7 +76,7 @@ WORDS = (
     "This device tested again (band of kind new_test)",
     "A measurement of it (band of kind observation)",
     "This very test (band of kind this_test)",
-    "Bounding properties, λ",
+    "Bounding properties",
 )
 """Words of the glossary that the page explains."""
 
@@ -155,7 +157,7 @@ class Units:
 
     def line(self, line: Line, unit: str) -> Markup:
         """A line of a cell of a sheet."""
-        digits = [self.number(value, "1" if line.ratio else unit) for value in line.numbers]
+        digits = [self.number(value, unit) for value in line.numbers]
         return Markup(escape(line.template)).format(*digits)
 
     def level(self, test: TestView, unit: str) -> Markup:
@@ -186,12 +188,15 @@ class Units:
 
 @dataclass(frozen=True)
 class Addition:
-    """What an application adds to a report: a value of its template, a figure, and its table."""
+    """What an application adds to a report: a value of its template, tables, and a figure.
+
+    `tables` are CSV by their path from the run folder.
+    """
 
     name: str
     value: Any
-    figure: Any  # of matplotlib
-    table: str
+    tables: Mapping[str, str]
+    figure: Any = None  # of matplotlib
 
 
 def render(
@@ -216,7 +221,7 @@ def render(
     added = {addition.name: addition.value for addition in additions}
     pages = {"report.html": _summary(view, images, sheet, units(), added)}
     if sheet is not None:
-        values = _datasheet(sheet, view, words)
+        values = _datasheet(sheet, view, words) | {"standard": added.get("standard")}
         pages["datasheet.html"] = render_page("datasheet.html.j2", units(), view=view, **values)
     judged = {judgement.subject: judgement for judgement in view.judgements}
     for test in view.tests:
@@ -279,6 +284,7 @@ def _summary(
         width=width_sentence(shares),
         exponents=[check for check in view.checks if check.check == FREE_EXPONENT],
         advice=added.get("next"),
+        standard=added.get("standard"),
         words={name: text for name, text in terms if name in WORDS},
         **_datasheet(sheet, view, units.words),
     )
@@ -530,6 +536,7 @@ def publish(
     sheets = dict(zip(("parameters", "laws"), paper_sheets(view, symbols), strict=True))
     if sheet is not None:
         frames["datasheet"] = datasheet_frame(sheet.rows, system)
+        frames["cycles"] = to_units(with_motion(sheet.cycles), system)
         sheets["datasheet"] = datasheet_sheet(sheet.rows, view.title, symbols, system.axes)
     for name, frame in frames.items():
         write_text(folder / f"{name}.csv", to_csv(frame))
@@ -547,7 +554,8 @@ def publish(
     for name, text in shared_tables(view):
         write_text(folder / name, text)
     for addition in additions:
-        write_text(folder / table_of(addition.name), addition.table)
+        for name, text in addition.tables.items():
+            write_text(folder / name, text)
     observe(Step("report", "pages"))
     for name, page in render(view, images, sheet, additions).items():
         write_text(folder / name, page)
@@ -580,7 +588,7 @@ def _draw(
         of_tests = list(evaluate(enumerate(tests)))
     shared = [
         *figures.draw_shared(view),
-        *((addition.name, addition.figure) for addition in additions),
+        *((addition.name, addition.figure) for addition in additions if addition.figure),
     ]
     images = {key: figures.to_png(figure) for key, figure in shared}
     for key, png in images.items():

@@ -30,7 +30,7 @@ _OF_UNIT = frozenset(
         *("mean", "sd", "lower", "median", "upper", "measured", "truth", "nominal", "value"),
         *("q2.5", "q50", "q97.5", "other_q2.5", "other_q50", "other_q97.5", "loop_estimate"),
         *("other_lower", "other_median", "other_upper", "smallest", "largest"),
-        *("measured_low", "measured_high", "observed", "expected"),
+        *("measured_low", "measured_high", "first_three", "observed", "expected"),
         *("joint_q2.5", "joint_q50", "joint_q97.5"),
     }
 )
@@ -134,7 +134,7 @@ _COLUMNS = {
     ),
     "truth": f"test name:quantity unit truth {_INTERVAL} inside informed",
     "prediction": "name:quantity unit mean sd lower median upper measured note",
-    "design": ("name:property unit basis of:name nominal lower upper lambda_min lambda_max note"),
+    "design": ("name:property unit basis of:name nominal lower upper lower_ratio upper_ratio note"),
 }
 """Columns of each table, as "column", or "key:column" where the rows call it otherwise."""
 
@@ -233,12 +233,11 @@ def to_json(title: str, name: str, frame: pd.DataFrame) -> str:
 class Line:
     """Numbers in their places in a text: "[{}, {}]" and (1.1, 1.4), in the unit of the row.
 
-    A ratio has no unit. A marked line is a measured value outside of its bounds.
+    A marked line is a measured value outside of its bounds.
     """
 
     template: str
     numbers: tuple[float, ...]
-    ratio: bool = False
     marked: bool = False
 
     @property
@@ -248,7 +247,6 @@ class Line:
 
     def text(self, factor: float = 1.0) -> str:
         """The line with three digits, its numbers times a factor."""
-        factor = 1.0 if self.ratio else factor
         return self.template.format(*(number(factor * value, 3) for value in self.numbers))
 
 
@@ -349,9 +347,15 @@ def _sheet(
     return Sheet(title, tuple(heads.values()), sheet_rows)
 
 
+def with_motion(rows: pd.DataFrame) -> pd.DataFrame:
+    """Rows with the units of the motion in the heads of its columns."""
+    names = {"stroke": "stroke_in", "frequency": "frequency_Hz", "speed": "speed_in_per_s"}
+    return rows.rename(columns=names)
+
+
 def datasheet_frame(rows: pd.DataFrame, system: UnitSystem) -> pd.DataFrame:
     """Rows of a data sheet in the units of a system, with those of its conditions in the heads."""
-    frame = rows.rename(columns={"stroke": "stroke_in", "frequency": "frequency_Hz"})
+    frame = with_motion(rows)
     if not system.axes.actuated:
         return to_units(frame.drop(columns=["actuation", "actuation_unit"]), system)
     levels = rows["actuation_unit"].map(system.of_actuation)
@@ -362,35 +366,35 @@ def datasheet_frame(rows: pd.DataFrame, system: UnitSystem) -> pd.DataFrame:
 def datasheet_sheet(rows: pd.DataFrame, title: str, symbols: Symbols, axes: Axes) -> Sheet:
     """The properties of a data sheet for reading: conditions are columns."""
     conditions: dict[str, tuple[tuple[float, str], ...]] = {}
-    properties: dict[tuple[str, str, int, str], dict[str, Cell]] = {}
+    properties: dict[tuple[str, str, str], dict[str, Cell]] = {}
     order = list(dict.fromkeys(rows["quantity"]))
     table: list[Row] = rows.to_dict("records")  # type: ignore[assignment]
+    table = [row for row in table if not row["cycle"]]  # single cycles are in the CSV alone
     for row in sorted(table, key=lambda row: order.index(row["quantity"])):
         quantities = [(row["stroke"], "in")]
         if axes.actuated:
             quantities.insert(0, (row["actuation"], ACTUATION + row["actuation_unit"]))
         if axes.timed:
-            quantities.append((row["frequency"], "Hz"))
+            quantities += [(row["frequency"], "Hz"), (row["speed"], "in/s")]
         conditions.setdefault(row["condition"], tuple(p for p in quantities if math.isfinite(p[0])))
         several, is_outside = row["n_cycles"] > 1, row["n_outside"] > 0
         ends = (row["measured_low"], row["measured_high"]) if several else (math.nan, math.nan)
         lines = (
             Line("{}", (row["measured"],), marked=is_outside),
             Line("{}–{}", ends),
+            Line("{}", (row["first_three"],)),
             Line("{}", (row["nominal"],)),
             Line("{}–{}", (row["lower"], row["upper"])),
-            Line("{}–{}", (row["lambda_min"], row["lambda_max"]), ratio=True),
         )
-        key = row["quantity"], row["direction"], row["cycle"], row["unit"]
+        key = row["quantity"], row["direction"], row["unit"]
         properties.setdefault(key, {})[row["condition"]] = Cell(lines, row["note"])
     sheet_rows = []
-    for (quantity, direction, cycle, unit), cells in properties.items():
+    for (quantity, direction, unit), cells in properties.items():
         name = axes.text(quantity.replace("_", " "))
-        detail = ", ".join(filter(None, (direction, f"cycle {cycle}" if cycle else "")))
-        meaning = ", ".join(filter(None, (symbols.meaning(name), detail)))
+        meaning = ", ".join(filter(None, (symbols.meaning(name), direction)))
         of = tuple(cells.get(condition, Cell()) for condition in conditions)
-        sheet_rows.append(SheetRow(name, unit, of, meaning, detail))
-    lines_of = ("measured", "cycles", "nominal", "bounds", "λ")
+        sheet_rows.append(SheetRow(name, unit, of, meaning, direction))
+    lines_of = ("measured", "cycles", "first three", "nominal", "bounds")
     heads, values = tuple(conditions), tuple(conditions.values())
     return Sheet(f"{title}: data sheet", heads, tuple(sheet_rows), lines_of, values)
 

@@ -63,7 +63,7 @@ _TABLES = "parameters derived loop_estimates laws law_scores checks scores cross
 OUTPUTS = (
     *(f"{name}.csv" for name in (*_TABLES.split(), "tested_range")),
     *(f"{name}.{form}" for name in ("parameters", "laws") for form in ("json", "tex")),
-    *("datasheet.csv", "datasheet.tex"),
+    *("datasheet.csv", "datasheet.tex", "cycles.csv", "conformity.csv", "factors.csv"),
     *(*_ON_REQUEST, *DRAWS, "report.html", "datasheet.html"),
     *(ASSESSMENT, POPULATION, CAMPAIGN, PRIORS, MODEL),
 )

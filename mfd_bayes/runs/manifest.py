@@ -20,6 +20,7 @@ from pydantic import Field, field_validator, model_validator
 
 from mfd_bayes.calibration.diagnostics import Effort
 from mfd_bayes.campaign.schema import CampaignFile, Id, Role
+from mfd_bayes.campaign.standard import Standard
 from mfd_bayes.errors import CampaignError, StoreError, UnitError, hash_file
 from mfd_bayes.jobs.job import JobState
 from mfd_bayes.population.mixed_model import DependenceScore, LawScore
@@ -290,6 +291,8 @@ class Manifest(Part):
     """Title and file of the priors."""
     settings: CampaignFile
     """What the campaign file says, with its defaults and what the command line replaced."""
+    standard: Standard | None = None
+    """The standard that `settings.design` names, whole."""
     inputs: Mapping[str, str]
     """SHA-256 of each file that was read."""
     keys: Mapping[str, str] = Field(default_factory=dict)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from mfd_bayes import open_run
-from mfd_bayes.applications.properties.datasheet import datasheet, parse_condition
+from mfd_bayes.applications.properties.datasheet import datasheet
+from mfd_bayes.applications.properties.harmonic import parse_condition
 from mfd_bayes.errors import MfdError
 from mfd_bayes.evaluation.bounds import ANOTHER, NOT_KNOWN, bounds_of, design_warnings
 from mfd_bayes.evaluation.properties import is_missed
@@ -28,7 +29,7 @@ def bounds(probability=0.9, draws=DRAWN):
 
 def test_bounds_are_quantiles_and_factors_relative_to_the_mean_property():
     row = bounds(0.9)["slip_fwd", "new_test"]
-    figures = [row[key] for key in ("lower", "nominal", "upper", "lambda_min", "lambda_max")]
+    figures = [row[key] for key in ("lower", "nominal", "upper", "lower_ratio", "upper_ratio")]
     assert figures == pytest.approx([1.1, 2.0, 2.9, 0.55, 1.45], abs=1e-3)
     narrow = bounds(0.5)["slip_fwd", "new_test"]
     assert (narrow["lower"], narrow["upper"]) == pytest.approx((1.5, 2.5), abs=1e-3)

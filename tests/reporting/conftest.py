@@ -164,7 +164,7 @@ def datasheet() -> Datasheet:
         head = {"condition": f"c{index}", "actuation": level, "actuation_unit": "ksi"}
         head |= {"stroke": 1.0, "frequency": 0.5, "tested": tested}
         head |= {"n_cycles": 3 * tested, "n_tests": int(tested), "n_outside": 0, "nominal": 1.0}
-        head |= {"lower": 0.8, "upper": 1.25, "lambda_min": 0.8, "lambda_max": 1.25}
+        head |= {"lower": 0.8, "upper": 1.25, "lower_ratio": 0.8, "upper_ratio": 1.25}
         head |= {"note": "" if tested else "no test was made there"}
         measured = (1.3, 1.35, 1.4) if tested else (NAN, NAN, NAN)
         head |= dict(zip(("measured_low", "measured", "measured_high"), measured, strict=True))

@@ -300,7 +300,12 @@ def draw_device(
 
 
 def bound_dampers(
-    population: Population, model: Model, building: Building, dampers: Dampers, seed: int
+    population: Population,
+    model: Model,
+    building: Building,
+    dampers: Dampers,
+    seed: int,
+    factors: Mapping[float, tuple[Mapping[str, float], Mapping[str, float]]] | None = None,
 ) -> dict[str, Dampers]:
     """One building with all dampers at the "lower", and one at the "upper", design value.
 
@@ -311,6 +316,10 @@ def bound_dampers(
     the mean property (the median of each quantity). Of a model that names no slip forces, the
     parameters that follow the actuation are taken for them. Histories of actuation are those of
     `dampers`, in their median.
+
+    `factors` of a standard, on each parameter for both sides, by level of actuation, take the place
+    of the quantiles: slip forces and stiffnesses are the mean property times these, all minima
+    together and all maxima together, and the gap is that of the mean property.
     """
     levels, of = np.unique([device.level for device in building.devices], return_inverse=True)
     template = replace(building.devices[0], history=None)
@@ -331,12 +340,15 @@ def bound_dampers(
     for side, share in (("lower", tail), ("upper", 1.0 - tail)):
         theta = np.median(mean.theta, axis=0)
         bound = np.quantile(scattered.theta, share, axis=0)
+        if factors is not None:
+            by_level = [factors[level][side == "upper"] for level in levels.tolist()]
+            bound = theta * [[of.get(name, 1.0) for name in names] for of in by_level]
         for name in dict.fromkeys([*(model.slip_forces or model.laws), *stiff]):
             column = names.index(name)
             tied = [names.index(n) for n, followed in model.shared_laws.items() if followed == name]
             theta[:, tied] *= (bound / np.where(theta, theta, 1.0))[:, [column]]
             theta[:, column] = bound[:, column]
-        if widths:
+        if widths and factors is None:
             width = np.quantile(scattered.theta[..., widths].sum(axis=-1), 1.0 - share, axis=0)
             theta[:, widths] *= (width / theta[:, widths].sum(axis=1))[:, None]
         thetas = np.broadcast_to(theta, (PLACES, *theta.shape))

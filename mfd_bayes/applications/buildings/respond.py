@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from os import PathLike, fspath
@@ -15,6 +15,7 @@ from mfd_bayes.applications.buildings.dampers import KINDS, bound_dampers, draw_
 from mfd_bayes.applications.buildings.ground import Ground, parse_ground, read_ground
 from mfd_bayes.applications.buildings.response import Response, seen_peaks
 from mfd_bayes.applications.buildings.time_integration import response_of
+from mfd_bayes.applications.properties import design_factors
 from mfd_bayes.errors import (
     MOST_DRAWS,
     BuildingError,
@@ -22,6 +23,7 @@ from mfd_bayes.errors import (
     real_number,
     whole_number,
 )
+from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.tested_range import (
@@ -105,6 +107,23 @@ def beyond_tests(run: Run, response: Response) -> list[list[str]]:
     return [*messages, sentences("actuation", run.actuation_unit, levels.min(), levels.max())]
 
 
+def _on_parameters(
+    model: Model, factors: Mapping[str, tuple[float, float]], end: int
+) -> dict[str, float]:
+    """Factor on each slip force and stiffness of a model, of those on properties by name.
+
+    `end` is 0 for the smallest, 1 for the largest factor.
+    """
+    of_slip = {
+        name: factors[f"slip_{name.rpartition('_')[2]}"][end]
+        for name in model.slip_forces
+        if f"slip_{name.rpartition('_')[2]}" in factors
+    }
+    stiff = factors.get("effective_stiffness", (1.0, 1.0))[end]
+    of_stiffness = {q.name: stiff for q in model.quantities if q.kind == "stiffness"}
+    return of_stiffness | of_slip
+
+
 def respond(
     run: Run,
     building: Building | str | PathLike[str],
@@ -157,10 +176,19 @@ def respond(
     for device in built.devices:
         label = f"the actuation of the damper at {device.name}"
         check_kind(label, device.unit, run.actuation_unit)
-    model, bounds = run.predictor.model, {}
+    model, bounds, standard = run.predictor.model, {}, None
     dampers = draw_dampers(run.population, model, built, kind, draws, seed)
     if dampers.count and (model.slip_forces or model.laws):
-        bounds = bound_dampers(run.population, model, built, dampers, seed)
+        levels = {device.level for device in built.devices}
+        factors = {level: design_factors(run, level) for level in levels}
+        standard = run.manifest.standard if all(factors.values()) else None
+        on_parameters = {
+            level: (_on_parameters(model, of, 0), _on_parameters(model, of, 1))
+            for level, of in factors.items()
+        }
+        bounds = bound_dampers(
+            *(run.population, model, built, dampers, seed), on_parameters if standard else None
+        )
     if not model.slip_forces:  # by which forces are judged to be in equilibrium
         typical = np.median([run.manifest.tests[name].peak_force for name in run.tests])
         dampers, *references = (
@@ -173,6 +201,11 @@ def respond(
     remarks = [*chain.from_iterable(beyond_tests(run, response))]
     remarks += [run.caution] if run.caution else []
     remarks += _short_histories(built, motions)
+    if standard is not None:
+        remarks.append(
+            f"all dampers at the lower and at the upper bound: the mean property times the λ_min "
+            f"and the λ_max of {standard.title}, all minima together and all maxima together"
+        )
     if dampers.count and run.population.design.dependence:
         remarks.append(
             "quantities that depend on speed, amplitude, date, cycles or temperature are taken "

@@ -16,7 +16,7 @@ from mfd_bayes.reporting.page import Addition
 from mfd_bayes.reporting.symbols import (
     DATA,
 )
-from mfd_bayes.reporting.tables import to_csv
+from mfd_bayes.reporting.tables import table_of, to_csv
 from mfd_bayes.runs.unit_system import UnitSystem
 
 LITTLE = 0.01
@@ -180,7 +180,7 @@ class AdviceInWords:
     def section(self) -> Addition:
         """Its section of a report."""
         figure = draw_next(self.advice, self.system, self.unit, "Which test next")
-        return Addition("next", self, figure, next_csv(self))
+        return Addition("next", self, {table_of("next"): next_csv(self)}, figure)
 
     def shown(self, count: int) -> list[tuple[str, ...]]:
         """Cells of the first rows, and of the best repeat, as a terminal shows them."""

@@ -28,6 +28,7 @@ class NextTestOptions:
     Example:
       mfd-bayes next out
       mfd-bayes next out --goal "band at 1000 psi, 0.5 Hz, 1 in"
+      mfd-bayes next out --protocol asce7-22
     """
 
     out: RunFolder
@@ -48,6 +49,13 @@ class NextTestOptions:
             show_default="OUT/next.csv",
         ),
     ] = None
+    protocol: Annotated[
+        str,
+        Option(
+            metavar="asce7-22",
+            help="List the tests that a standard asks for and that were not made, in its order.",
+        ),
+    ] = ""
     draft: Annotated[
         Path | None,
         Option(

@@ -12,6 +12,7 @@ import numpy as np
 from mfd_bayes.applications.prediction.comparison import Compared, compare
 from mfd_bayes.applications.prediction.options import PredictOptions
 from mfd_bayes.applications.prediction.tables import bands_csv, design_csv, predicted_csv
+from mfd_bayes.applications.properties import standard_bounds
 from mfd_bayes.campaign.guesses import guess_columns
 from mfd_bayes.campaign.schema import CampaignFile
 from mfd_bayes.console import figures, print_rows, say, warn
@@ -125,6 +126,8 @@ def predict(options: PredictOptions) -> Answer:
     if options.design:
         remarks += design_warnings(run)
         design = design_rows(run, trace, options.probability)
+        if run.manifest.standard is not None:
+            design = (*design, *standard_bounds(run, trace.reference_actuation, design))
     band = replace(band, remarks=(*band.remarks, *remarks))
     compared, judged, disagrees = None, "", False
     if target.force is not None:
@@ -312,12 +315,12 @@ def _print_design(rows: Rows, probability: float) -> None:
     """Print mean and bounding properties with their factors."""
     tail, keys = (
         50.0 * (1.0 - probability),
-        ("nominal", "lower", "upper", "lambda_min", "lambda_max"),
+        ("nominal", "lower", "upper", "lower_ratio", "upper_ratio"),
     )
     notes = "; ".join(dict.fromkeys(f"{r['of']}, {r['note']}" for r in rows if r["note"]))
     print_rows(
         "Mean and bounding properties",
-        ("property", "of", "unit", "nominal", "lower", "upper", "λ min", "λ max"),
+        ("property", "of", "unit", "nominal", "lower", "upper", "over nominal", ""),
         [
             (
                 *(r["name"], r["of"], r["unit"]),
@@ -327,8 +330,8 @@ def _print_design(rows: Rows, probability: float) -> None:
             if not r["note"]
         ],
         folded=2,
-        caption=f"Each bound is exceeded with a probability of {tail:g} %; λ: bound over nominal "
-        f"value. {notes}",
+        caption=f"Each bound is exceeded with a probability of {tail:g} %, but for those "
+        f"of a standard; last, the bounds over the nominal value. {notes}",
     )
 
 

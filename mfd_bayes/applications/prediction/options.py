@@ -85,7 +85,8 @@ class PredictOptions:
     ] = False
     explain: Annotated[bool, Option("--explain", help="Say what makes the band wide.")] = False
     design: Annotated[
-        bool, Option("--design", help="Print mean and bounding properties with λ factors.")
+        bool,
+        Option("--design", help="Print mean and bounding properties, also of a standard."),
     ] = False
     extrapolate: Annotated[
         bool, Option("--extrapolate", help="Predict also far outside of the tested range.")

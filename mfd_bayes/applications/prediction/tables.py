@@ -32,7 +32,7 @@ def design_csv(rows: Rows, actuation: str, probability: float) -> str:
     head = (
         "mean and bounding properties; each bound is exceeded with a probability of "
         f"{50.0 * (1.0 - probability):g} %",
-        "lambda: bound over the nominal value, which is the mean of the mean property",
+        "lower_ratio, upper_ratio: bound over the nominal value, the mean of the mean property",
         *([f"actuation {actuation}"] if actuation else []),
     )
     return _csv(head, _by_column("design", rows))

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mfd_bayes.errors import CampaignError, MfdError
+from mfd_bayes.applications.properties.factors import nominal_of_tests
+from mfd_bayes.applications.properties.harmonic import (
+    CYCLES,
+    Condition,
+    HarmonicTest,
+    condition_words,
+    harmonic_tests,
+)
+from mfd_bayes.errors import MfdError
 from mfd_bayes.evaluation.bounds import (
     ANOTHER,
     BASES,
@@ -16,15 +24,13 @@ from mfd_bayes.evaluation.bounds import (
     places_of,
     sessions_of,
 )
-from mfd_bayes.evaluation.properties import Array, measured_of
+from mfd_bayes.evaluation.properties import Array
 from mfd_bayes.evaluation.views import Datasheet
 from mfd_bayes.messages import Message
-from mfd_bayes.records.cycles import PROPERTIES, RECORD, DeviceProperty, MeasuredCycles
-from mfd_bayes.records.record import NO_ACTUATION
-from mfd_bayes.records.trace import Harmonic, Trace, parse_sine
+from mfd_bayes.records.cycles import PROPERTIES, RECORD, DeviceProperty
+from mfd_bayes.records.trace import Harmonic
 from mfd_bayes.runs.findings import Fitness
 from mfd_bayes.runs.run import Run
-from mfd_bayes.units import DAMPER, Axes, actuation_kind, parse_actuation
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,51 +40,31 @@ if TYPE_CHECKING:
 
 PROBABILITY = 0.95  # of the interval between lower and upper bound
 BASIS = "observation"  # what the bounds are of: a measured value lies in them with PROBABILITY
-CYCLES = 3  # cycles of which the energy is given one by one
-HARMONIC = 0.2  # least share of the cycles at full stroke, by which a test counts as harmonic
 _ON_SHEET = [quantity for quantity in PROPERTIES.values() if quantity.sheet]
 
 
 _COLUMNS = [
-    *("condition", "actuation", "actuation_unit", "stroke", "frequency", "tested"),
+    *("condition", "actuation", "actuation_unit", "stroke", "frequency", "speed", "tested"),
     *("quantity", "direction", "unit", "cycle", "measured_low", "measured", "measured_high"),
-    *("standard_error", "n_cycles", "n_tests", "n_outside", "of"),
-    *("nominal", "lower", "upper", "lambda_min", "lambda_max"),
-    *("lambda_min_other", "lambda_max_other", "note"),
+    *("first_three", "standard_error", "n_cycles", "n_tests", "n_outside", "of"),
+    *("nominal", "lower", "upper", "lower_ratio", "upper_ratio"),
+    *("lower_ratio_other", "upper_ratio_other", "note"),
 ]
 """Of `Datasheet.rows`, there even where no test is harmonic."""
 
-
-class Condition(NamedTuple):
-    """An actuation, ksi or kip, an amplitude, in, and a frequency, Hz, of harmonic motion."""
-
-    actuation: float
-    stroke: float
-    frequency: float
-
-
-def parse_condition(text: str, actuation_unit: str, axes: Axes = DAMPER) -> Condition:
-    """Condition of a text such as "35 lbf, 1 in, 0.5 Hz": actuation, amplitude, frequency."""
-    if not axes.actuated:
-        text = f"{NO_ACTUATION}, {text}"
-    level, _, motion = text.partition(",")
-    if text.count(",") != (2 if axes.timed else 1):
-        raise CampaignError(f"a condition reads '35 lbf, 1 in, 0.5 Hz', got {text!r}")
-    actuation, unit = parse_actuation(level.strip(), of=f"the actuation of {text!r}")
-    if unit != actuation_unit:
-        raise CampaignError(
-            f"the actuation of {text!r} must be {actuation_kind(actuation_unit)}, as in the tests"
-        )
-    harmonic = parse_sine(f"{motion}, {CYCLES} cycles", axes)
-    return Condition(actuation, harmonic.amplitude, harmonic.frequency)
+_CYCLES = [
+    *("test", "condition", "stroke", "frequency", "speed", "cycle"),
+    *("quantity", "direction", "unit", "value", "over_first_three"),
+]
+"""Of `Datasheet.cycles`."""
 
 
 def datasheet(run: Run, conditions: Sequence[Condition] = ()) -> Datasheet:
     """Data sheet of a run: every condition that was tested, and those of `conditions`."""
-    tests = _harmonic_tests(run)
+    tests = harmonic_tests(run)
     table, lacking = [], []
-    for condition in dict.fromkeys([*sorted({test[0] for test in tests}), *conditions]):
-        matching = [test for test in tests if test[0] == condition]
+    for condition in dict.fromkeys([*sorted({test.condition for test in tests}), *conditions]):
+        matching = [test for test in tests if test.condition == condition]
         label = condition_words(run, condition)
         try:
             table += _rows(run, condition, label, matching)
@@ -91,6 +77,7 @@ def datasheet(run: Run, conditions: Sequence[Condition] = ()) -> Datasheet:
     rows = pd.DataFrame(table, columns=_COLUMNS)
     return Datasheet(
         rows=rows,
+        cycles=pd.DataFrame(_cycles(run, tests), columns=_CYCLES),
         tested=_tested(run),
         verdict=_verdict(run, rows),
         not_known=(*lacking, *_not_known(run)),
@@ -102,57 +89,18 @@ def datasheet(run: Run, conditions: Sequence[Condition] = ()) -> Datasheet:
     )
 
 
-def condition_words(run: Run, condition: Condition) -> str:
-    """A condition in the units of the run: "35 lbf, 1 in, 0.5 Hz"."""
-    words, axes = run.system.words, run.system.axes
-    fields = [words([condition.stroke], "in", 3)]
-    if axes.actuated:
-        fields.insert(0, words([condition.actuation], run.actuation_unit, actuation=True))
-    if axes.timed:
-        fields.append(f"{condition.frequency:.3g} Hz")
-    return ", ".join(fields)
-
-
-Tested = tuple[Condition, str, Trace, MeasuredCycles]
-
-
-def _harmonic_tests(run: Run) -> list[Tested]:
-    """Condition and measured cycles of every harmonic test, also of those held out."""
-    traces = {name: test.trace for name, test in run.tests.items()} | dict(run.held_out)
-    tests = []
-    for name in run.manifest.tests:
-        if name not in traces:
-            continue
-        cycles = measured_of(run.manifest, name)
-        full = cycles.full_stroke
-        if full.size and full.mean() >= HARMONIC:
-            amplitude = 0.5 * float(np.median(cycles.stroke[full]))
-            timed = run.system.axes.timed
-            frequency = float(np.median(cycles.frequency[full])) if timed else 1.0
-            level, factor = traces[name].reference_actuation, run.system.factor("in")
-            condition = Condition(level, _rounded(amplitude * factor) / factor, _rounded(frequency))
-            tests.append((condition, name, traces[name], cycles))
-    return tests
-
-
-def _rounded(value: float) -> float:
-    """A value with two digits where they are right within 2 %, else with three."""
-    two = float(f"{value:.2g}")
-    return two if abs(value - two) <= 0.02 * value else float(f"{value:.3g}")
-
-
 def _rows(
-    run: Run, condition: Condition, label: str, tests: Sequence[Tested]
+    run: Run, condition: Condition, label: str, tests: Sequence[HarmonicTest]
 ) -> list[dict[str, object]]:
     """Rows of one condition; `tests` are its tests."""
     axes = run.system.axes
     if tests:
-        trace = tests[0][2]
+        trace = tests[0].trace
     else:
         trace = Harmonic(*condition[1:], CYCLES, axes.timed).trace(condition.actuation)
-    devices = run.manifest.settings.devices
-    names = dict.fromkeys((run.session(n), devices[n]) for _, n, _, _ in tests) or places_of(run)
-    draws = drawn_properties(run, trace, list(names))
+    assert trace is not None  # a run has the motion of each of its tests
+    places = dict.fromkeys((test.session, test.device) for test in tests) or places_of(run)
+    draws = drawn_properties(run, trace, list(places))
     remarks = [] if tests else [d.sentence(run.system) for d in run.extrapolations(trace)]
     head = {
         "condition": label,
@@ -160,6 +108,7 @@ def _rows(
         "actuation_unit": run.actuation_unit,
         "stroke": condition.stroke,
         "frequency": condition.frequency,
+        "speed": condition.speed if axes.timed else float("nan"),
         "tested": bool(tests),
         "of": BASES[BASIS],
         "note": "; ".join(remarks),
@@ -182,9 +131,37 @@ def _rows(
                     "unit": quantity.unit,
                 }
                 | {"cycle": cycle, **row}
-                | _measured(quantity, cycle, [cycles for *_, cycles in tests], row)
-                | {f"{key}_other": other_bounds[key] for key in ("lambda_min", "lambda_max")}
+                | _measured(quantity, cycle, tests, row)
+                | {f"{key}_other": other_bounds[key] for key in ("lower_ratio", "upper_ratio")}
             )
+    return rows
+
+
+def _cycles(run: Run, tests: Sequence[HarmonicTest]) -> list[dict[str, object]]:
+    """Measured values of every cycle at full stroke of the harmonic tests."""
+    rows: list[dict[str, object]] = []
+    for test in tests:
+        condition = test.condition
+        for quantity in _ON_SHEET:
+            if not quantity.applies(run.system.axes) or not quantity.of_cycle:
+                continue
+            nominal = test.nominal(quantity)
+            rows += [
+                {
+                    "test": test.name,
+                    "condition": condition_words(run, condition),
+                    "stroke": condition.stroke,
+                    "frequency": condition.frequency,
+                    "speed": condition.speed if run.system.axes.timed else float("nan"),
+                    "cycle": cycle,
+                    "quantity": quantity.sheet,
+                    "direction": quantity.direction,
+                    "unit": quantity.unit,
+                    "value": value,
+                    "over_first_three": value / nominal if nominal else float("nan"),
+                }
+                for cycle, value in enumerate(test.values(quantity).tolist(), start=1)
+            ]
     return rows
 
 
@@ -198,20 +175,21 @@ def _of_cycle(draws: Mapping[str, Array], quantity: DeviceProperty, cycle: int) 
 def _measured(
     quantity: DeviceProperty,
     cycle: int,
-    tests: Sequence[MeasuredCycles],
+    tests: Sequence[HarmonicTest],
     bounds: Mapping[str, float],
 ) -> dict[str, float]:
     """Measured value of tests, or of one cycle of them, with its smallest and largest cycle.
 
-    The standard error is that of the mean of the cycles, of all tests.
+    The standard error is that of the mean of the cycles, of all tests. "first_three" is the mean of
+    the first three cycles of each test, and of these.
     """
     window = slice(cycle - 1, cycle) if cycle else slice(None)
-    of_cycles = [test.values[quantity.key][test.full_stroke][window] for test in tests]
+    of_cycles = [test.values(quantity)[window] for test in tests]
     if cycle:
         values, errors = np.concatenate([np.empty(0), *of_cycles]), np.empty(0)
     else:
-        values = np.array([test.of_test()[quantity.name] for test in tests])
-        errors = np.array([test.standard_error(quantity.name) for test in tests])
+        values = np.array([test.cycles.of_test()[quantity.name] for test in tests])
+        errors = np.array([test.cycles.standard_error(quantity.name) for test in tests])
     if quantity.extent == RECORD:  # the largest value is no mean
         errors = np.empty(0)
     per_cycle = np.concatenate([np.empty(0), *of_cycles])
@@ -222,6 +200,7 @@ def _measured(
         "measured_low": float(per_cycle.min()) if per_cycle.size else nan,
         "measured": float(values.mean()) if values.size else nan,
         "measured_high": float(per_cycle.max()) if per_cycle.size else nan,
+        "first_three": nan if cycle else nominal_of_tests(tests, quantity),
         "standard_error": float(np.sqrt(np.sum(errors**2)) / errors.size) if errors.size else nan,
         "n_cycles": per_cycle.size,
         "n_tests": values.size,
@@ -271,14 +250,14 @@ def _verdict(run: Run, rows: pd.DataFrame) -> tuple[Message, ...]:
     actuated = ("actuation",) if run.system.axes.actuated else ()
     ranges = [spans[name] for name in (*actuated, "stroke", "frequency") if name in spans]
     validity = Message(
-        "Bounds and λ, which are bounds over the nominal value, are of {of}, the device tested "
-        "again, within {where}; outside they rest on the form of the laws.",
+        "Bounds are of {of}, the device tested again, within {where}; outside they rest on the "
+        "form of the laws.",
         {"of": BASES[BASIS], "where": ", ".join(span.words(run.system) for span in ranges)},
     )
     if len(run.devices) < 2:
         return usability, comparison, validity
     slip = rows[(rows["cycle"] == 0) & (rows["quantity"] == "slip_force")]
-    low, high = slip["lambda_min_other"].min(), slip["lambda_max_other"].max()
+    low, high = slip["lower_ratio_other"].min(), slip["upper_ratio_other"].max()
     spread = Message(
         f"Another device of the make, from {len(run.devices)} devices: slip force of "
         f"{low:.2f} to {high:.2f} times the nominal one."

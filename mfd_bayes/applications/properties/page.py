@@ -1,0 +1,164 @@
+"""What a report says of a standard: conformity, requirement by requirement, and λ."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from mfd_bayes.applications.properties.conformity import (
+    Conformity,
+    ConformityRow,
+    Evidence,
+    conformity,
+    predictions,
+    summary,
+)
+from mfd_bayes.applications.properties.factors import PropertyFactors, property_factors
+from mfd_bayes.applications.properties.harmonic import condition_words, harmonic_tests, levels_of
+from mfd_bayes.campaign.schema import DesignTable
+from mfd_bayes.campaign.standard import Standard
+from mfd_bayes.records.cycles import quantities
+from mfd_bayes.reporting.page import Addition
+from mfd_bayes.reporting.tables import to_csv
+from mfd_bayes.runs.run import Run
+
+TABLES = ("conformity.csv", "factors.csv")
+"""Of a standard, in a run folder."""
+
+_MARKS = {
+    Conformity.MEETS: "pass",
+    Conformity.FAILS: "fail",
+    Conformity.NOT_TESTED: "note",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class StandardView:
+    """Conformity of a run with its standard, and its property factors."""
+
+    standard: Standard
+    design: DesignTable
+    rows: tuple[ConformityRow, ...]
+    factors: tuple[PropertyFactors, ...]
+    run: Run
+
+    @property
+    def worst(self) -> list[dict[str, Any]]:
+        """The worst row of each requirement and quantity, as a page shows it."""
+        return [self._shown(row) for row in summary(self.rows)]
+
+    def _shown(self, row: ConformityRow) -> dict[str, Any]:
+        where = ", ".join(filter(None, (row.test, row.note)))
+        has_value, has_limit = row.quantity and math.isfinite(row.value), math.isfinite(row.limit)
+        return asdict(row) | {
+            "subject": self.symbol(row.quantity, row.direction) if row.quantity else "",
+            "where": where,
+            "value_text": f"{100.0 * row.value:+.1f}\N{NO-BREAK SPACE}%" if has_value else "",
+            "limit_text": f"±{100.0 * row.limit:g}\N{NO-BREAK SPACE}%" if has_limit else "",
+            "mark": _MARKS[row.verdict],
+        }
+
+    def symbol(self, quantity: str, direction: str) -> str:
+        """A quantity as the standard calls it, with its direction."""
+        name = self.standard.symbols.get(quantity) or quantities()[quantity][0].label
+        return f"{name} {direction}".strip()
+
+    @property
+    def sentence(self) -> str:
+        """How many requirements are met, fail, and were not tested."""
+        verdicts: dict[str, list[Conformity]] = {}
+        for row in summary(self.rows):
+            verdicts.setdefault(row.requirement, []).append(row.verdict)
+        order = (Conformity.FAILS, Conformity.NOT_TESTED, Conformity.MEETS)
+        worst = [next(v for v in order if v in of) for of in verdicts.values()]
+        counts = (f"{worst.count(verdict)} {verdict}" for verdict in reversed(order))
+        return f"Of {len(worst)} requirements of {self.standard.title}: {', '.join(counts)}."
+
+    @property
+    def composed(self) -> list[dict[str, Any]]:
+        """Factors as a page shows them, a row for each level, quantity and direction."""
+        return [
+            {
+                "level": self.run.system.words(
+                    [row.actuation], self.run.actuation_unit, actuation=True
+                )
+                if self.run.system.axes.actuated
+                else "",
+                "subject": self.symbol(row.quantity, row.direction),
+                "row": row,
+            }
+            for row in self.factors
+        ]
+
+    def section(self) -> Addition:
+        """Its part of a report."""
+        return Addition("standard", self, self.tables())
+
+    def tables(self) -> Mapping[str, str]:
+        """The whole tables as CSV: a row for each verdict, by test and cycle, and for each λ."""
+        import pandas as pd  # which takes long to import
+
+        factor, unit = self.run.system.of_actuation(self.run.actuation_unit)
+        verdicts = pd.DataFrame([asdict(row) for row in self.rows]).assign(
+            standard=self.standard.title
+        )
+        factors = []
+        for row in self.factors:
+            flat: dict[str, Any] = {
+                f"actuation_{unit}": row.actuation * factor,
+                "quantity": row.quantity,
+                "direction": row.direction,
+            }
+            for kind in ("cycles", "speed", "temperature"):
+                measured = getattr(row, kind)
+                for end in ("smallest", "largest"):
+                    low, high = getattr(measured, f"{end}_interval")
+                    flat |= {
+                        f"lambda_{kind}_{end}": getattr(measured, end),
+                        f"lambda_{kind}_{end}_q2.5": low,
+                        f"lambda_{kind}_{end}_q97.5": high,
+                    }
+                flat[f"tests_{kind}"] = measured.tests
+            flat |= {"lambda_test_min": row.test_min, "lambda_test_max": row.test_max}
+            for name in ("composed_min", "composed_max", "lambda_min", "lambda_max"):
+                flat[name] = getattr(row, name)
+            factors.append(flat)
+        design = self.design
+        head = [
+            f"{self.standard.title}; {self.standard.read}",
+            f"lambda_ae {design.lambda_ae.min:g} to {design.lambda_ae.max:g}, lambda_spec "
+            f"{design.lambda_spec.min:g} to {design.lambda_spec.max:g}",
+        ]
+        return {
+            TABLES[0]: to_csv(verdicts, head[:1]),
+            TABLES[1]: to_csv(pd.DataFrame(factors), head),
+        }
+
+
+def to_compare(run: Run, *, predicted: bool = True) -> Evidence:
+    """What a run has to compare with a standard; without draws it is quick.
+
+    The run must have a design.
+    """
+    tests, design = harmonic_tests(run), run.manifest.settings.design
+    assert design is not None
+    dependence = run.manifest.settings.dependence
+    return Evidence(
+        tests,
+        design,
+        predictions(run, tests) if predicted else {},
+        lambda condition: condition_words(run, condition),
+        any("temperature" in covariates for covariates in dependence.values()),
+    )
+
+
+def standard_view(run: Run, *, predicted: bool = True) -> StandardView | None:
+    """Conformity of a run with the standard of its campaign; None where it names none."""
+    standard, design = run.manifest.standard, run.manifest.settings.design
+    if standard is None or design is None:
+        return None
+    evidence = to_compare(run, predicted=predicted)
+    factors = property_factors(standard, evidence, levels_of(evidence.tests))
+    return StandardView(standard, design, conformity(standard, evidence), factors, run)
