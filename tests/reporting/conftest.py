@@ -162,9 +162,10 @@ def datasheet() -> Datasheet:
     rows = []
     for index, level, tested in ((0, 0.8, True), (1, 1.0, False)):
         head = {"condition": f"c{index}", "actuation": level, "actuation_unit": "ksi"}
-        head |= {"stroke": 1.0, "frequency": 0.5, "tested": tested}
+        head |= {"stroke": 1.0, "frequency": 0.5, "speed": 3.14, "tested": tested}
         head |= {"n_cycles": 3 * tested, "n_tests": int(tested), "n_outside": 0, "nominal": 1.0}
         head |= {"lower": 0.8, "upper": 1.25, "lower_ratio": 0.8, "upper_ratio": 1.25}
+        head |= {"first_three": 1.3 if tested else NAN}
         head |= {"note": "" if tested else "no test was made there"}
         measured = (1.3, 1.35, 1.4) if tested else (NAN, NAN, NAN)
         head |= dict(zip(("measured_low", "measured", "measured_high"), measured, strict=True))
@@ -176,6 +177,7 @@ def datasheet() -> Datasheet:
     verdict = Message("usable"), Message("1 of 3 lies outside"), Message("within {range}", values)
     return Datasheet(
         rows=pd.DataFrame(rows),
+        cycles=pd.DataFrame([{"test": "p800_f0.25", "cycle": 1, "unit": "kip*in", "value": 4.0}]),
         tested={"stroke": Message("{range}", values)},
         verdict=verdict,
         not_known=(Message("Temperature: no record has one."),),

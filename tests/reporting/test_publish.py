@@ -26,7 +26,9 @@ def test_a_report_holds_every_figure_and_every_table(campaign, published, writte
     expected |= {f"tests/{name}/{file}" for name, file in pairs}
     expected |= {f"figures/{n}.{s}" for n in ("overview", "laws", "truth") for s in ("png", "csv")}
     names = "parameters derived loop_estimates laws law_scores checks scores tested_range"
-    expected |= {f"{name}.csv" for name in (*names.split(), "crossvalidation", "datasheet")}
+    expected |= {
+        f"{name}.csv" for name in (*names.split(), "crossvalidation", "datasheet", "cycles")
+    }
     expected |= {f"{name}.{end}" for name in ("parameters", "laws") for end in ("json", "tex")}
     expected |= {"datasheet.tex", "report.html", "datasheet.html", "tables.docx", "tables.xlsx"}
     assert set(files(published)) == expected

@@ -19,6 +19,7 @@ from mfd_bayes.applications.buildings.dampers import plain_friction
 from mfd_bayes.applications.buildings.ground import Ground, read_ground
 from mfd_bayes.applications.buildings.response import sweep_of, variance_shares
 from mfd_bayes.applications.buildings.time_integration import response_of
+from mfd_bayes.applications.properties import design_factors
 from mfd_bayes.errors import BuildingError
 from mfd_bayes.evaluation.bounds import design_rows
 from mfd_bayes.runs.run import rewrite_manifest
@@ -130,6 +131,25 @@ def test_all_dampers_at_a_bound_stand_beside_the_band(run, response):
     force_row = next(row for row in response.rows() if row["quantity"] == "damper force")
     assert force_row["lower"] < force_row["upper"]
     assert np.isnan(force_row["bare"])
+
+
+def test_all_dampers_at_the_factors_of_a_standard_are_the_mean_property_times_these(run, response):
+    parameters, factors = run.predictor.model.parameters, design_factors(run, 1.0)
+    weak, strong = (
+        dict(zip(parameters, response.references[name].dampers.theta[0, 0], strict=True))
+        for name in ("lambda_min", "lambda_max")
+    )
+    for side in ("fwd", "bwd"):
+        low, high = factors[f"slip_{side}"]
+        assert low <= 0.85 < 1.2 <= high
+        for parameter in (f"Fc_{side}", f"Fs_{side}"):
+            assert strong[parameter] / weak[parameter] == pytest.approx(high / low, rel=1e-9)
+    low, high = factors["effective_stiffness"]
+    assert strong["k3"] / weak["k3"] == pytest.approx(high / low, rel=1e-9)
+    assert (weak["d2"], weak["d3"]) == (strong["d2"], strong["d3"])
+    plain = replace(run, manifest=run.manifest.changed(standard=None))
+    assert design_factors(plain, 1.0) == {}
+    assert "lambda_max" not in mb.respond(plain, response.building, GROUND, draws=20).references
 
 
 def test_a_dampers_force_is_the_peak_that_design_says_of_the_same_motion(run, tmp_path):
@@ -314,9 +334,10 @@ def test_an_answer_beyond_the_tests_says_so_beside_it(respond, quake, tmp_path, 
     assert "✓ Answered" in (folder / "report.html").read_text()
     far = respond("--ground", quake, "--ground", quake, "--scale", "6", "--quiet")
     assert far.exit_code == 0, far.output
-    answer, bounds, matters, caveat, *_ = far.output.splitlines()
+    answer, bounds, standard, matters, caveat, *_ = far.output.splitlines()
     assert "the largest storey drift is" in answer
     assert "with all dampers at their bound, lower " in bounds
+    assert "with all dampers at the standard's λ_min " in standard
     assert "% of the variance of the largest drift is " in matters
     assert "beyond the tests: the stroke, " in caveat
     assert "times the largest" in caveat
@@ -327,7 +348,7 @@ def test_an_answer_beyond_the_tests_says_so_beside_it(respond, quake, tmp_path, 
     assert "! Answered, but beyond the tests" in page
     assert "✓ Answered" not in page
     verdict = json.loads((folder / "response.json").read_text())["verdict"]
-    assert "beyond the tests: the stroke" in verdict[3]
+    assert "beyond the tests: the stroke" in verdict[4]
     with (folder / "shares.csv").open() as file:
         sources = [row["source"] for row in csv.DictReader(file)]
     assert not any("record to record" in source for source in sources)

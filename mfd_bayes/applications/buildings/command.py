@@ -19,6 +19,7 @@ from mfd_bayes.applications.buildings.respond import beyond_tests, check_kind, g
 from mfd_bayes.applications.buildings.response import (
     REFERENCES,
     REST,
+    STANDARD,
     Response,
     Row,
     Sweep,
@@ -247,6 +248,17 @@ def _verdict(
             named = ", ".join(f"{name} {end:.3g} {unit}" for name, end in ends.items())
             label = f"{ground.name}: with all dampers at their bound, {named}"
             sentences.append(f"{label}{_not_bounding(ends, middle)}.")
+        at_factors = [
+            float(np.max(response.references[name].drift[0, g] * scale))
+            for name in STANDARD
+            if name in response.references and not response.references[name].unstable[0, g]
+        ]
+        if len(at_factors) == len(STANDARD):
+            low, high = at_factors
+            sentences.append(
+                f"{ground.name}: with all dampers at the standard's λ_min {low:.3g} {unit}, at its "
+                f"λ_max {high:.3g} {unit}."
+            )
         if of_drift := shares[g]["shares"]:
             remainder = of_drift[REST]
             source, share = max(
@@ -391,9 +403,8 @@ def _factor_and_name(unit: str, system: UnitSystem) -> tuple[float, str]:
 def _in_system(row: Row, system: UnitSystem) -> Row:
     """A row in the unit in which a system shows it."""
     unit, factor = shown_unit(row["unit"], system)
-    figures = {
-        name: factor * row[name] for name in ("median", "mean", "limit", *REFERENCES) if name in row
-    }
+    names = ("median", "mean", "limit", *REFERENCES, *STANDARD)
+    figures = {name: factor * row[name] for name in names if name in row}
     if "bands" in row:
         figures["bands"] = {p: [factor * end for end in band] for p, band in row["bands"].items()}
     return row | {"unit": unit} | figures
@@ -404,10 +415,11 @@ def peaks_frame(rows: Iterable[Row], system: UnitSystem) -> pd.DataFrame:
     import pandas as pd
 
     names = ("without_dampers", "plain_friction", "all_at_lower_bound", "all_at_upper_bound")
+    columns = dict(zip(REFERENCES, names, strict=True)) | {n: f"all_at_{n}" for n in STANDARD}
     lines = []
     for row in rows:
         peak = _in_system(row, system)
-        references = {name: peak.pop(key) for name, key in zip(names, REFERENCES, strict=True)}
+        references = {name: peak.pop(key) for key, name in columns.items() if key in peak}
         for share, (low, high) in peak.pop("bands").items():
             peak |= {f"lower_{share}": low, f"upper_{share}": high}
         lines.append(peak | references)

@@ -13,7 +13,7 @@ from mfd_bayes.applications.buildings.building import Building, read_building
 from mfd_bayes.applications.buildings.dampers import FEWEST as FEWEST_DRAWS
 from mfd_bayes.applications.buildings.dampers import KINDS, bound_dampers, draw_dampers
 from mfd_bayes.applications.buildings.ground import Ground, parse_ground, read_ground
-from mfd_bayes.applications.buildings.response import Response, seen_peaks
+from mfd_bayes.applications.buildings.response import STANDARD, Response, seen_peaks
 from mfd_bayes.applications.buildings.time_integration import response_of
 from mfd_bayes.applications.properties import design_factors
 from mfd_bayes.errors import (
@@ -108,20 +108,26 @@ def beyond_tests(run: Run, response: Response) -> list[list[str]]:
 
 
 def _on_parameters(
-    model: Model, factors: Mapping[str, tuple[float, float]], end: int
-) -> dict[str, float]:
-    """Factor on each slip force and stiffness of a model, of those on properties by name.
+    model: Model, factors: Mapping[str, tuple[float, float]]
+) -> tuple[Mapping[str, float], Mapping[str, float]]:
+    """Smallest and largest factor on each slip force and stiffness of a model.
 
-    `end` is 0 for the smallest, 1 for the largest factor.
+    `factors` are those on properties, by name; empty where there are none.
     """
-    of_slip = {
-        name: factors[f"slip_{name.rpartition('_')[2]}"][end]
-        for name in model.slip_forces
-        if f"slip_{name.rpartition('_')[2]}" in factors
-    }
-    stiff = factors.get("effective_stiffness", (1.0, 1.0))[end]
-    of_stiffness = {q.name: stiff for q in model.quantities if q.kind == "stiffness"}
-    return of_stiffness | of_slip
+    ends = []
+    for end in (0, 1):
+        of_slip = {
+            name: factors[f"slip_{name.rpartition('_')[2]}"][end]
+            for name in model.slip_forces
+            if f"slip_{name.rpartition('_')[2]}" in factors
+        }
+        of_stiffness = {
+            q.name: factors["effective_stiffness"][end]
+            for q in model.quantities
+            if q.kind == "stiffness" and "effective_stiffness" in factors
+        }
+        ends.append(of_stiffness | of_slip)
+    return ends[0], ends[1]
 
 
 def respond(
@@ -176,19 +182,17 @@ def respond(
     for device in built.devices:
         label = f"the actuation of the damper at {device.name}"
         check_kind(label, device.unit, run.actuation_unit)
-    model, bounds, standard = run.predictor.model, {}, None
+    model, bounds = run.predictor.model, {}
     dampers = draw_dampers(run.population, model, built, kind, draws, seed)
     if dampers.count and (model.slip_forces or model.laws):
-        levels = {device.level for device in built.devices}
-        factors = {level: design_factors(run, level) for level in levels}
-        standard = run.manifest.standard if all(factors.values()) else None
-        on_parameters = {
-            level: (_on_parameters(model, of, 0), _on_parameters(model, of, 1))
-            for level, of in factors.items()
+        bounds = bound_dampers(run.population, model, built, dampers, seed)
+        factors = {
+            device.level: _on_parameters(model, design_factors(run, device.level))
+            for device in built.devices
         }
-        bounds = bound_dampers(
-            *(run.population, model, built, dampers, seed), on_parameters if standard else None
-        )
+        if all(map(any, factors.values())):
+            ends = bound_dampers(run.population, model, built, dampers, seed, factors)
+            bounds |= dict(zip(STANDARD, ends.values(), strict=True))
     if not model.slip_forces:  # by which forces are judged to be in equilibrium
         typical = np.median([run.manifest.tests[name].peak_force for name in run.tests])
         dampers, *references = (
@@ -201,11 +205,6 @@ def respond(
     remarks = [*chain.from_iterable(beyond_tests(run, response))]
     remarks += [run.caution] if run.caution else []
     remarks += _short_histories(built, motions)
-    if standard is not None:
-        remarks.append(
-            f"all dampers at the lower and at the upper bound: the mean property times the λ_min "
-            f"and the λ_max of {standard.title}, all minima together and all maxima together"
-        )
     if dampers.count and run.population.design.dependence:
         remarks.append(
             "quantities that depend on speed, amplitude, date, cycles or temperature are taken "

@@ -35,6 +35,8 @@ BOUNDS = {"lower": 0.5 * (1.0 - BOUND), "upper": 0.5 * (1.0 + BOUND)}
 """Probability that a new test lies below each bound."""
 
 REFERENCES = ("bare", "plain", *BOUNDS)
+STANDARD = ("lambda_min", "lambda_max")
+"""References with all dampers at the factors of a standard, where the campaign names one."""
 OPEN = 0.005  # share of the time in steps that should have been shorter, from which a draw is named
 PER_DRAW = (
     *("drift", "acceleration", "base_shear", "peak_fwd", "peak_bwd", "speed", "travel"),
@@ -75,7 +77,8 @@ class Response:
     travels: tuple[Array, ...]
     forces: tuple[Array, ...]
     # of one draw each: "bare", without dampers; "plain", with plain friction of the median
-    # slip forces; "lower" and "upper", with all dampers at those design values
+    # slip forces; "lower" and "upper", with all dampers at those design values; "lambda_min" and
+    # "lambda_max" at the mean property times the factors of a standard, where there is one
     references: Mapping[str, Response] = field(default_factory=dict)
     tolerance: float = 0.01  # error up to which a draw counts as settled
     remarks: tuple[str, ...] = ()
@@ -289,7 +292,7 @@ def seen_peaks(response: Response, peaks: Peaks, seed: int, *, scatter: bool = T
         return replace(of, peak_fwd=sides[0], peak_bwd=sides[1])
 
     references = {
-        name: seen(of, BOUNDS[name]) if name in BOUNDS else of
+        name: seen(of, BOUNDS.get(name, 0.5)) if name in (*BOUNDS, *STANDARD) else of
         for name, of in response.references.items()
     }
     return replace(seen(response), references=references)
