@@ -1,13 +1,18 @@
-"""How often do good devices differ, and are wrong ones found and rightly named?
+"""How often do good devices differ, are wrong ones found, and do verdicts err as often as stated?
 
     python -m benchmarks.accept.run good     minutes of a core for each of five prototypes
     python -m benchmarks.accept.run drift    five inspections, by the mixed model
     python -m benchmarks.accept.run real     real sessions, calibrated by benchmarks.heldout.run
+    python -m benchmarks.accept.run guard    risks of wrong verdicts; minutes of a core
 
 and the same with --quick, few of each. `good` calibrates simulated prototypes of twelve tests, and
 judges 2,000 good devices and 200 of each fault after three cycles at limits of 15 %. `real` leaves
 every harmonic record of both sessions out of the run that it is compared with, unaltered and with a
-planted fault, and compares the 30 lb records of 2023 with the session of 2022.
+planted fault, and compares the 30 lb records of 2023 with the session of 2022. `guard` judges 2,000
+devices whose forces are off by up to three limits, in either direction alike, and compares the
+stated probabilities of wrong verdicts with the shares of wrong ones: each device of a campaign of
+its own, whose truth is drawn from the priors of the mixed model; and devices of the simulated
+prototypes of `good`. Another load cell than that of the tests measures them.
 """
 
 from benchmarks import common  # isort: skip  (one thread, before numpy)
@@ -15,6 +20,7 @@ from benchmarks import common  # isort: skip  (one thread, before numpy)
 import sys
 from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -23,9 +29,12 @@ import mfd_bayes as mb
 from mfd_bayes.applications.acceptance import judgement as acceptance
 from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign import synthetic
+from mfd_bayes.campaign.schema import CampaignFile
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values, write_campaign
+from mfd_bayes.evaluation import measurement
 from mfd_bayes.evaluation.laws import drift_row
-from mfd_bayes.population.design import TestConditions, design_of
+from mfd_bayes.evaluation.measurement import Gains
+from mfd_bayes.population.design import LAW_NAMES, TestConditions, design_of
 from mfd_bayes.population.mixed_model import MixedModel
 from tests.population.made import sample_h
 
@@ -220,7 +229,94 @@ def real(options):
     table(rows)
 
 
-ACTIONS = {"good": good, "drift": drift, "real": real}
+# --- wrong verdicts
+
+FARTHEST = 3.0 * np.log1p(0.15)  # largest size of a level, three limits
+GAIN = 0.02  # standard uncertainty of the gain of both load cells
+DEVICES, TESTS, N = 2000, 12, 2000  # N draws
+READING = 0.005  # error of a slip force that is read off a record
+
+
+def stating(settings, uncertainty):
+    """Settings of a campaign whose load cell has a stated uncertainty, or none."""
+    force = settings.columns.force.model_copy(update={"uncertainty": uncertainty or None})
+    return settings.model_copy(
+        update={"columns": settings.columns.model_copy(update={"force": force})}
+    )
+
+
+def campaign_of_its_own(rng, mixed, gains):
+    """A device, judged against tests of a campaign drawn from the priors of the mixed model."""
+    design, choice = mixed.design, np.array([LAW_NAMES.index("proportional")])
+    spread, level = design.spread[0], rng.uniform(-FARTHEST, FARTHEST)
+    scatter = np.exp(mixed.from_standard_normal(rng.standard_normal((1, mixed.dim)))[0, 0])
+    tests_gain, record_gain = GAIN * rng.standard_normal(2)
+    nominal = spread * design.z_sd[0] * rng.standard_normal()
+    sd = np.hypot(scatter, READING)
+    values = nominal + sd * rng.standard_normal(TESTS) - tests_gain
+    mixed.y, mixed.adapted = (values / spread)[:, None], {}
+    h = sample_h(mixed, choice, rng, N)
+    nominals = spread * mixed.marginal(h, choice)[1].draw(rng)[:, 0]
+    scatters = np.hypot(np.exp(h[:, 0]), READING)
+    tests = nominals + scatters * rng.standard_normal(N)
+    draws = [gains.applied({"slip_fwd": np.exp(x)}) for x in (nominals, tests)]
+    device = draws[1] | {"loop": np.ones(N)}
+    expected = acceptance.Expected(draws[0], device, device, None, ())
+    value = float(np.exp(nominal + level + sd * rng.standard_normal() - record_gain))
+    record = SimpleNamespace(columns={"force": ("", "kip"), "displacement": ("", "in")})
+    group = (acceptance.ComparedRecord(record, None, {"slip_fwd": value}, expected),)
+    levels = acceptance.Level.of(group, independent=True)
+    return level, acceptance.judge("", group, levels, levels.p_value, LIMITS)
+
+
+def risks(label, levels, devices, campaigns, names):
+    """Rows of the probabilities of wrong verdicts: as stated, and as observed.
+
+    The standard error takes the devices of one campaign for one observation.
+    """
+    table = pd.concat([d.rows.loc[names] for d in devices], ignore_index=True)
+    beyond = np.repeat(np.abs(np.expm1(levels)) > LIMITS["slip_fwd"], len(names))
+    cluster, rows = np.repeat(campaigns, len(names)), []
+    for verdict, risk, wrong in (
+        ("within the limit", "p_wrong_acceptance", beyond),
+        ("beyond the limit", "p_wrong_rejection", ~beyond),
+    ):
+        judged = (table["verdict"] == verdict).to_numpy()
+        stated = table.loc[judged, risk].to_numpy()
+        sums = pd.Series(wrong[judged] - stated).groupby(cluster[judged]).sum()
+        error, n = np.sqrt(np.sum(sums**2)) / judged.sum(), judged.sum()
+        row = {"devices": label, "verdict": verdict, "number": n, "wrong": wrong[judged].sum()}
+        row |= {"stated %": 100 * stated.mean(), "observed %": 100 * wrong[judged].mean()}
+        rows.append(row | {"standard error %": 100 * error, "apart, se": sums.sum() / n / error})
+    return rows
+
+
+def guard(options):
+    number = 40 if options.quick else DEVICES
+    conditions = [TestConditions(1.0, "", {})] * TESTS
+    design = design_of(load_priors("mfd"), ("Fc_fwd",), conditions, {"Fc_fwd": "proportional"})
+    design = replace(design, leveled=False, scatter_sd=np.array([SCATTER]))
+    precision = np.full((TESTS, 1, 1), (design.spread[0] / READING) ** 2)
+    tables = {"columns": {"force": {"name": "force_kip"}}, "test": [{"id": "a", "file": "a.csv"}]}
+    settings = CampaignFile.model_validate(tables)
+    rows = []
+    for label, uncertainty in (("mixed model", GAIN), ("the same, gains not stated", 0.0)):
+        run = SimpleNamespace(
+            manifest=SimpleNamespace(settings=stating(settings, uncertainty)),
+            tests=("a",), priors=SimpleNamespace(measurement={}),
+        )  # fmt: skip
+        gains = measurement.gains_of_another(run, uncertainty, N) if uncertainty else Gains()
+        rng, devices = np.random.default_rng(options.seed), []
+        mixed = MixedModel(design, np.zeros((TESTS, 1)), precision)
+        for _ in range(number):
+            devices.append(campaign_of_its_own(rng, mixed, gains))
+        levels, judged = zip(*devices, strict=True)
+        rows += risks(label, np.array(levels), judged, np.arange(number), ["slip_fwd"])
+    print(f"{number} devices, limits 15 %; two load cells, gains known to {100 * GAIN:g} % each")
+    table(rows)
+
+
+ACTIONS = {"good": good, "drift": drift, "real": real, "guard": guard}
 
 
 def main():
