@@ -33,7 +33,7 @@ from mfd_bayes.campaign.schema import CampaignFile
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values, write_campaign
 from mfd_bayes.evaluation import measurement
 from mfd_bayes.evaluation.laws import drift_row
-from mfd_bayes.evaluation.measurement import Gains
+from mfd_bayes.evaluation.measurement import EXACT, Gains
 from mfd_bayes.population.design import LAW_NAMES, TestConditions, design_of
 from mfd_bayes.population.mixed_model import MixedModel
 from tests.population.made import sample_h
@@ -94,14 +94,15 @@ def prototype(folder, seed):
     return mb.open_run(folder / "out")
 
 
-def comparison(run, folder, rng, draws):
-    """A function of a force that compares such a test with a run."""
+def comparison(run, folder, rng, draws, gains=EXACT):
+    """A function of a force that compares such a test with a run; `gains` as of `expect`."""
     path = folder / "production.csv"
     rows = np.transpose(production_test(rng, {}))
     names = ("time_s", "displacement_in", "force_kip")
     pd.DataFrame(rows, columns=names).to_csv(path, index=False)
     record = mb.read_record(path, actuation="1 ksi")
     how = {"rate": record.rate, "ratios": acceptance.birge_ratios(run), "draws": draws}
+    how["gains"] = gains
     expected = acceptance.expect(run, acceptance.trace_of(run, record), "", **how)
 
     def compare(force):
@@ -287,8 +288,32 @@ def risks(label, levels, devices, campaigns, names):
         error, n = np.sqrt(np.sum(sums**2)) / judged.sum(), judged.sum()
         row = {"devices": label, "verdict": verdict, "number": n, "wrong": wrong[judged].sum()}
         row |= {"stated %": 100 * stated.mean(), "observed %": 100 * wrong[judged].mean()}
-        rows.append(row | {"standard error %": 100 * error, "apart, se": sums.sum() / n / error})
+        row |= {"standard error %": 100 * error, "apart, se": sums.sum() / n / error}
+        rows.append({k: round(v, 2) if isinstance(v, float) else v for k, v in row.items()})
     return rows
+
+
+SCALED = [*SLIP, "build_up_slope", "peak_fwd", "peak_bwd", "energy_per_cycle"]
+SCALED += ["effective_stiffness"]  # what a factor of the force multiplies
+
+
+def devices_of_prototypes(options, count, number):
+    """Levels of devices whose forces are off by a factor, the devices judged, their prototypes."""
+    set_scatter()
+    rng, pool = np.random.default_rng(options.seed), []
+    for seed in range(1, count + 1):
+        run = prototype(options.out / f"s{seed}", seed)
+        settings = stating(run.manifest.settings, GAIN)
+        run = replace(run, manifest=run.manifest.changed(settings=settings))
+        gains = measurement.gains_of_another(run, GAIN, 2 * N)
+        pool.append(comparison(run, options.out / f"s{seed}", rng, 2 * N, gains))
+    levels, seeds = rng.uniform(-FARTHEST, FARTHEST, number), np.arange(number) % count
+    devices = []
+    for level, seed in zip(levels, seeds, strict=True):
+        gain = GAIN * (rng.standard_normal() - rng.standard_normal())  # of the tests, of the record
+        group, of_device = pool[seed](np.exp(level + gain) * production_test(rng, {})[2])
+        devices.append(acceptance.judge("", group, of_device, of_device.p_value, LIMITS))
+    return levels, devices, seeds
 
 
 def guard(options):
@@ -314,6 +339,11 @@ def guard(options):
         rows += risks(label, np.array(levels), judged, np.arange(number), ["slip_fwd"])
     print(f"{number} devices, limits 15 %; two load cells, gains known to {100 * GAIN:g} % each")
     table(rows)
+    count = 2 if options.quick else options.prototypes
+    levels, judged, seeds = devices_of_prototypes(options, count, number)
+    print(f"\n{number} devices of {count} simulated prototypes, whose tests scatter by 2 %")
+    groups = {name: [name] for name in SCALED} | {"all": SCALED}
+    table([r for name, names in groups.items() for r in risks(name, levels, judged, seeds, names)])
 
 
 ACTIONS = {"good": good, "drift": drift, "real": real, "guard": guard}
