@@ -11,7 +11,7 @@ from typing import Any
 
 import typer
 
-from mfd_bayes.applications.acceptance.judgement import Acceptance, accept, risk_of
+from mfd_bayes.applications.acceptance.judgement import Acceptance, accept
 from mfd_bayes.applications.acceptance.options import AcceptOptions
 from mfd_bayes.applications.acceptance.page import acceptance_table
 from mfd_bayes.console import print_rows, say, warn
@@ -39,8 +39,8 @@ def run_accept(options: AcceptOptions) -> None:
     warn(remark for each in devices for remark in each.remarks)
     if not options.quiet:
         for each in devices:
-            heads = ["effect, %", "90 % interval", "limit, %", "guard band, %", "percentile", "p"]
-            heads += ["verdict", "risk"]
+            heads = ["effect, %", "90 % interval", "limit - guard band, %", "percentile", "p"]
+            heads.append("verdict")
             rows = [
                 (f"{row['quantity']} {row['direction']}".strip(), *_effect_cells(row))
                 for _, row in each.rows.iterrows()
@@ -56,16 +56,14 @@ def run_accept(options: AcceptOptions) -> None:
 
 def _effect_cells(row: Any) -> tuple[str, ...]:
     """Cells of a quantity of a device that is compared with the others."""
-    has, risk = math.isfinite(row["effect"]), risk_of(row)
+    has = math.isfinite(row["effect"])
     return (
         f"{row['effect']:+.1f}" if has else "",
         f"{row['effect_lower']:+.1f} to {row['effect_upper']:+.1f}" if has else "",
-        f"±{row['limit']:.3g}" if math.isfinite(row["limit"]) else "",
-        f"{row['guard_band']:.1f}" if math.isfinite(row["guard_band"]) else "",
+        f"±{row['limit']:.3g} - {row['guard_band']:.1f}" if math.isfinite(row["limit"]) else "",
         f"{row['percentile']:.1f}",
         f"{row['p_value']:.3f}",
         str(row["verdict"]),
-        f"{risk:.3f}" if math.isfinite(risk) else "",
     )
 
 

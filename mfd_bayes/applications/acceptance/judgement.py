@@ -510,12 +510,6 @@ def judge(
     return Acceptance(device, verdict, sentence, level.p_value, p_batch, named, table, group)
 
 
-def risk_of(row: Mapping[str, Any]) -> float:
-    """Probability that the verdict on a quantity is wrong; NaN where it says neither."""
-    acceptance, rejection = row["p_wrong_acceptance"], row["p_wrong_rejection"]
-    return float(acceptance if np.isfinite(acceptance) else rejection)
-
-
 def guard_band(effect: Array, limit: float) -> float:
     """How far inside a limit, a share, the median effect must lie to be within it, a share.
 
@@ -524,9 +518,9 @@ def guard_band(effect: Array, limit: float) -> float:
     """
     residual = effect - np.median(effect)
     lower, upper = np.quantile(residual, [ALPHA, 1.0 - ALPHA])
-    above = limit - np.expm1(np.log1p(limit) - upper)
-    below = limit + np.expm1(np.log1p(-limit) - lower)
-    return float(max(above, below))
+    upper_guard = limit - np.expm1(np.log1p(limit) - upper)
+    lower_guard = limit + np.expm1(np.log1p(-limit) - lower)
+    return float(max(upper_guard, lower_guard))
 
 
 def _wrong_unit(rows: Mapping[str, Row], group: Sequence[ComparedRecord]) -> str:

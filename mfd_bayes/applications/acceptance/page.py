@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mfd_bayes.applications.acceptance.judgement import Acceptance, risk_of
+from mfd_bayes.applications.acceptance.judgement import Acceptance
 from mfd_bayes.reporting import symbols
 from mfd_bayes.reporting.figures import new_figure, style
 from mfd_bayes.reporting.page import environment, picture, policy_of
@@ -101,7 +101,7 @@ def acceptance_page(
             about=facts,
             rows=to_units(device.rows, system).to_dict("records"),
             number=_number,
-            risk=risk_of,
+            risk=_risk,
             unit_text=symbols.unit_text,
             pictures=pictures,
             batch=batch,
@@ -109,6 +109,12 @@ def acceptance_page(
             policy=policy_of(),
         )
     )
+
+
+def _risk(row: Mapping[str, Any]) -> float:
+    """Probability that the verdict on a quantity is wrong; NaN where it says neither."""
+    acceptance, rejection = row["p_wrong_acceptance"], row["p_wrong_rejection"]
+    return float(acceptance if math.isfinite(acceptance) else rejection)
 
 
 def _number(value: float, form: str = "") -> str:
