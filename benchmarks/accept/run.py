@@ -3,6 +3,7 @@
     python -m benchmarks.accept.run good     minutes of a core for each of five prototypes
     python -m benchmarks.accept.run drift    five inspections, by the mixed model
     python -m benchmarks.accept.run real     real sessions, calibrated by benchmarks.heldout.run
+    python -m benchmarks.accept.run gain     intervals of slip force of a load cell that is off
     python -m benchmarks.accept.run guard    risks of wrong verdicts; minutes of a core
 
 and the same with --quick, few of each. `good` calibrates simulated prototypes of twelve tests, and
@@ -12,7 +13,8 @@ planted fault, and compares the 30 lb records of 2023 with the session of 2022. 
 devices whose forces are off by up to three limits, in either direction alike, and compares the
 stated probabilities of wrong verdicts with the shares of wrong ones: each device of a campaign of
 its own, whose truth is drawn from the priors of the mixed model; and devices of the simulated
-prototypes of `good`. Another load cell than that of the tests measures them.
+prototypes of `good`. Another load cell than that of the tests measures them. `gain` asks how many
+intervals of the mean slip force hold its true value, in 200 campaigns of twelve tests.
 """
 
 from benchmarks import common  # isort: skip  (one thread, before numpy)
@@ -246,19 +248,68 @@ def stating(settings, uncertainty):
     )
 
 
+def stating_run(uncertainty):
+    """What of a run says how well the gain of its load cell is known."""
+    tables = {"columns": {"force": {"name": "force_kip"}}, "test": [{"id": "a", "file": "a.csv"}]}
+    settings = stating(CampaignFile.model_validate(tables), uncertainty)
+    priors = SimpleNamespace(measurement={})
+    return SimpleNamespace(manifest=SimpleNamespace(settings=settings), tests=("a",), priors=priors)
+
+
+def mixed_model(scatter_sd):
+    """The mixed model of the slip force of tests at one level, with this prior of its scatter."""
+    conditions = [TestConditions(1.0, "", {})] * TESTS
+    design = design_of(load_priors("mfd"), ("Fc_fwd",), conditions, {"Fc_fwd": "proportional"})
+    design = replace(design, leveled=False, scatter_sd=np.array([scatter_sd]))
+    precision = np.full((TESTS, 1, 1), (design.spread[0] / READING) ** 2)
+    return MixedModel(design, np.zeros((TESTS, 1)), precision)
+
+
+def posterior_of(values, mixed, rng):
+    """Draws of the logarithm of the mean slip force, and of the scatter of one that is read."""
+    choice, spread = np.array([LAW_NAMES.index("proportional")]), mixed.design.spread[0]
+    mixed.y, mixed.adapted = (values / spread)[:, None], {}
+    h = sample_h(mixed, choice, rng, N)
+    nominals = spread * mixed.marginal(h, choice)[1].draw(rng)[:, 0]
+    return nominals, np.hypot(np.exp(h[:, 0]), READING)
+
+
+def gain(options):
+    """A load cell that is known to 0.5 %, and reads as much wrong, or drawn from that."""
+    number, uncertainty, scatter_sd = 20 if options.quick else 200, 0.005, 0.01
+    mixed, rows = mixed_model(scatter_sd), []
+    stated = measurement.gains_of(stating_run(uncertainty), N)
+    for label in ("drawn", "0.5 % in each"):
+        intervals = {"stated": [], "not stated": []}
+        for seed in range(number):
+            rng = np.random.default_rng(seed)
+            prior = mixed.from_standard_normal(rng.standard_normal((1, mixed.dim)))
+            error = uncertainty * (rng.standard_normal() if label == "drawn" else 1.0)
+            sd = np.hypot(np.exp(prior[0, 0]), READING)
+            nominals, _ = posterior_of(sd * rng.standard_normal(TESTS) - error, mixed, rng)
+            for words, gains in (("stated", stated), ("not stated", Gains())):
+                draws = gains.applied({"slip_fwd": np.exp(nominals)})["slip_fwd"]
+                intervals[words].append(np.quantile(draws, [0.025, 0.975]))
+        for words, pairs in intervals.items():
+            lower, upper = np.transpose(pairs)
+            hits = np.count_nonzero((lower <= 1.0) & (upper >= 1.0))
+            row = {"error of the gain": label, "uncertainty": words, "campaigns": number}
+            row |= {"mean width %": round(100 * np.mean(upper - lower), 2)}
+            rows.append(row | {"hold the truth": share(hits, number)})
+    print("95 % intervals of the mean slip force from twelve tests, which scatter by about 1 %")
+    table(rows)
+
+
 def campaign_of_its_own(rng, mixed, gains):
     """A device, judged against tests of a campaign drawn from the priors of the mixed model."""
-    design, choice = mixed.design, np.array([LAW_NAMES.index("proportional")])
+    design = mixed.design
     spread, level = design.spread[0], rng.uniform(-FARTHEST, FARTHEST)
     scatter = np.exp(mixed.from_standard_normal(rng.standard_normal((1, mixed.dim)))[0, 0])
     tests_gain, record_gain = GAIN * rng.standard_normal(2)
     nominal = spread * design.z_sd[0] * rng.standard_normal()
     sd = np.hypot(scatter, READING)
     values = nominal + sd * rng.standard_normal(TESTS) - tests_gain
-    mixed.y, mixed.adapted = (values / spread)[:, None], {}
-    h = sample_h(mixed, choice, rng, N)
-    nominals = spread * mixed.marginal(h, choice)[1].draw(rng)[:, 0]
-    scatters = np.hypot(np.exp(h[:, 0]), READING)
+    nominals, scatters = posterior_of(values, mixed, rng)
     tests = nominals + scatters * rng.standard_normal(N)
     draws = [gains.applied({"slip_fwd": np.exp(x)}) for x in (nominals, tests)]
     device = draws[1] | {"loop": np.ones(N)}
@@ -318,21 +369,13 @@ def devices_of_prototypes(options, count, number):
 
 def guard(options):
     number = 40 if options.quick else DEVICES
-    conditions = [TestConditions(1.0, "", {})] * TESTS
-    design = design_of(load_priors("mfd"), ("Fc_fwd",), conditions, {"Fc_fwd": "proportional"})
-    design = replace(design, leveled=False, scatter_sd=np.array([SCATTER]))
-    precision = np.full((TESTS, 1, 1), (design.spread[0] / READING) ** 2)
-    tables = {"columns": {"force": {"name": "force_kip"}}, "test": [{"id": "a", "file": "a.csv"}]}
-    settings = CampaignFile.model_validate(tables)
     rows = []
     for label, uncertainty in (("mixed model", GAIN), ("the same, gains not stated", 0.0)):
-        run = SimpleNamespace(
-            manifest=SimpleNamespace(settings=stating(settings, uncertainty)),
-            tests=("a",), priors=SimpleNamespace(measurement={}),
-        )  # fmt: skip
-        gains = measurement.gains_of_another(run, uncertainty, N) if uncertainty else Gains()
+        gains = Gains()
+        if uncertainty:
+            gains = measurement.gains_of_another(stating_run(uncertainty), uncertainty, N)
         rng, devices = np.random.default_rng(options.seed), []
-        mixed = MixedModel(design, np.zeros((TESTS, 1)), precision)
+        mixed = mixed_model(SCATTER)
         for _ in range(number):
             devices.append(campaign_of_its_own(rng, mixed, gains))
         levels, judged = zip(*devices, strict=True)
@@ -346,7 +389,7 @@ def guard(options):
     table([r for name, names in groups.items() for r in risks(name, levels, judged, seeds, names)])
 
 
-ACTIONS = {"good": good, "drift": drift, "real": real, "guard": guard}
+ACTIONS = {"good": good, "drift": drift, "real": real, "gain": gain, "guard": guard}
 
 
 def main():
