@@ -241,6 +241,13 @@ def measures(unit: str, reference: str) -> bool:
     return bool(_parse(unit, unit).dimensionality == _parse(reference, reference).dimensionality)
 
 
+def force_and_length(unit: str) -> tuple[float, float]:
+    """Powers of a force and of a length in a unit: ``(1, -1)`` of ``"kip*s/in"``."""
+    dimensions = _parse(unit, _named(unit)).dimensionality
+    force = float(dimensions.get("[mass]", 0.0))
+    return force, float(dimensions.get("[length]", 0.0)) - force
+
+
 def has_angle(unit: str) -> bool:
     """Whether a unit is one of an angle, or has one in it: those measure a ratio too."""
     return bool(_ANGLES.search(str(_parse(unit, _named(unit)))))

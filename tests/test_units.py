@@ -9,6 +9,7 @@ from mfd_bayes.units import (
     DIMENSIONS,
     convert,
     factor,
+    force_and_length,
     measure,
     parse_actuation,
     parse_quantity,
@@ -68,6 +69,12 @@ def test_what_a_unit_measures_is_named_and_none_where_it_is_unknown():
         assert not same_unit("kN", unknown)
     assert same_unit("kN/mm", "MN/m")
     assert not same_unit("kN", "lbf")
+
+
+def test_powers_of_force_and_length_are_those_of_a_units_dimension():
+    units = {"kip": (1, 0), "kip/in": (1, -1), "kip*in": (1, 1), "in": (0, 1), "1": (0, 0)}
+    units |= {"kip*s/in": (1, -1), "kN*s/mm": (1, -1), "ksi": (1, -2), "in/s": (0, 1), "s": (0, 0)}
+    assert {unit: force_and_length(unit) for unit in units} == units
 
 
 def test_a_swapped_unit_says_what_it_measures_and_what_is_needed():

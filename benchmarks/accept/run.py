@@ -1,13 +1,20 @@
-"""How often do good devices differ, and are wrong ones found and rightly named?
+"""How often do good devices differ, are wrong ones found, and do verdicts err as often as stated?
 
     python -m benchmarks.accept.run good     minutes of a core for each of five prototypes
     python -m benchmarks.accept.run drift    five inspections, by the mixed model
     python -m benchmarks.accept.run real     real sessions, calibrated by benchmarks.heldout.run
+    python -m benchmarks.accept.run gain     intervals of slip force of a load cell that is off
+    python -m benchmarks.accept.run guard    risks of wrong verdicts; minutes of a core
 
 and the same with --quick, few of each. `good` calibrates simulated prototypes of twelve tests, and
 judges 2,000 good devices and 200 of each fault after three cycles at limits of 15 %. `real` leaves
 every harmonic record of both sessions out of the run that it is compared with, unaltered and with a
-planted fault, and compares the 30 lb records of 2023 with the session of 2022.
+planted fault, and compares the 30 lb records of 2023 with the session of 2022. `guard` judges 2,000
+devices whose forces are off by up to three limits, in either direction alike, and compares the
+stated probabilities of wrong verdicts with the shares of wrong ones: each device of a campaign of
+its own, whose truth is drawn from the priors of the mixed model; and devices of the simulated
+prototypes of `good`. Another load cell than that of the tests measures them. `gain` asks how many
+intervals of the mean slip force hold its true value, in 200 campaigns of twelve tests.
 """
 
 from benchmarks import common  # isort: skip  (one thread, before numpy)
@@ -15,6 +22,7 @@ from benchmarks import common  # isort: skip  (one thread, before numpy)
 import sys
 from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -23,9 +31,12 @@ import mfd_bayes as mb
 from mfd_bayes.applications.acceptance import judgement as acceptance
 from mfd_bayes.calibration.priors import load_priors
 from mfd_bayes.campaign import synthetic
+from mfd_bayes.campaign.schema import CampaignFile
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values, write_campaign
+from mfd_bayes.evaluation import measurement
 from mfd_bayes.evaluation.laws import drift_row
-from mfd_bayes.population.design import TestConditions, design_of
+from mfd_bayes.evaluation.measurement import EXACT, Gains
+from mfd_bayes.population.design import LAW_NAMES, TestConditions, design_of
 from mfd_bayes.population.mixed_model import MixedModel
 from tests.population.made import sample_h
 
@@ -85,14 +96,15 @@ def prototype(folder, seed):
     return mb.open_run(folder / "out")
 
 
-def comparison(run, folder, rng, draws):
-    """A function of a force that compares such a test with a run."""
+def comparison(run, folder, rng, draws, gains=EXACT):
+    """A function of a force that compares such a test with a run; `gains` as of `expect`."""
     path = folder / "production.csv"
     rows = np.transpose(production_test(rng, {}))
     names = ("time_s", "displacement_in", "force_kip")
     pd.DataFrame(rows, columns=names).to_csv(path, index=False)
     record = mb.read_record(path, actuation="1 ksi")
     how = {"rate": record.rate, "ratios": acceptance.birge_ratios(run), "draws": draws}
+    how["gains"] = gains
     expected = acceptance.expect(run, acceptance.trace_of(run, record), "", **how)
 
     def compare(force):
@@ -220,7 +232,164 @@ def real(options):
     table(rows)
 
 
-ACTIONS = {"good": good, "drift": drift, "real": real}
+# --- wrong verdicts
+
+FARTHEST = 3.0 * np.log1p(0.15)  # largest size of a level, three limits
+GAIN = 0.02  # standard uncertainty of the gain of both load cells
+DEVICES, TESTS, N = 2000, 12, 2000  # N draws
+READING = 0.005  # error of a slip force that is read off a record
+
+
+def stating(settings, uncertainty):
+    """Settings of a campaign whose load cell has a stated uncertainty, or none."""
+    force = settings.columns.force.model_copy(update={"uncertainty": uncertainty or None})
+    return settings.model_copy(
+        update={"columns": settings.columns.model_copy(update={"force": force})}
+    )
+
+
+def stating_run(uncertainty):
+    """What of a run says how well the gain of its load cell is known."""
+    tables = {"columns": {"force": {"name": "force_kip"}}, "test": [{"id": "a", "file": "a.csv"}]}
+    settings = stating(CampaignFile.model_validate(tables), uncertainty)
+    priors = SimpleNamespace(measurement={})
+    return SimpleNamespace(manifest=SimpleNamespace(settings=settings), tests=("a",), priors=priors)
+
+
+def mixed_model(scatter_sd):
+    """The mixed model of the slip force of tests at one level, with this prior of its scatter."""
+    conditions = [TestConditions(1.0, "", {})] * TESTS
+    design = design_of(load_priors("mfd"), ("Fc_fwd",), conditions, {"Fc_fwd": "proportional"})
+    design = replace(design, leveled=False, scatter_sd=np.array([scatter_sd]))
+    precision = np.full((TESTS, 1, 1), (design.spread[0] / READING) ** 2)
+    return MixedModel(design, np.zeros((TESTS, 1)), precision)
+
+
+def posterior_of(values, mixed, rng):
+    """Draws of the logarithm of the mean slip force, and of the scatter of one that is read."""
+    choice, spread = np.array([LAW_NAMES.index("proportional")]), mixed.design.spread[0]
+    mixed.y, mixed.adapted = (values / spread)[:, None], {}
+    h = sample_h(mixed, choice, rng, N)
+    nominals = spread * mixed.marginal(h, choice)[1].draw(rng)[:, 0]
+    return nominals, np.hypot(np.exp(h[:, 0]), READING)
+
+
+def gain(options):
+    """A load cell that is known to 0.5 %, and reads as much wrong, or drawn from that."""
+    number, uncertainty, scatter_sd = 20 if options.quick else 200, 0.005, 0.01
+    mixed, rows = mixed_model(scatter_sd), []
+    stated = measurement.gains_of(stating_run(uncertainty), N)
+    for label in ("drawn", "0.5 % in each"):
+        intervals = {"stated": [], "not stated": []}
+        for seed in range(number):
+            rng = np.random.default_rng(seed)
+            prior = mixed.from_standard_normal(rng.standard_normal((1, mixed.dim)))
+            error = uncertainty * (rng.standard_normal() if label == "drawn" else 1.0)
+            sd = np.hypot(np.exp(prior[0, 0]), READING)
+            nominals, _ = posterior_of(sd * rng.standard_normal(TESTS) - error, mixed, rng)
+            for words, gains in (("stated", stated), ("not stated", Gains())):
+                draws = gains.applied({"slip_fwd": np.exp(nominals)})["slip_fwd"]
+                intervals[words].append(np.quantile(draws, [0.025, 0.975]))
+        for words, pairs in intervals.items():
+            lower, upper = np.transpose(pairs)
+            hits = np.count_nonzero((lower <= 1.0) & (upper >= 1.0))
+            row = {"error of the gain": label, "uncertainty": words, "campaigns": number}
+            row |= {"mean width %": round(100 * np.mean(upper - lower), 2)}
+            rows.append(row | {"hold the truth": share(hits, number)})
+    print("95 % intervals of the mean slip force from twelve tests, which scatter by about 1 %")
+    table(rows)
+
+
+def campaign_of_its_own(rng, mixed, gains):
+    """A device, judged against tests of a campaign drawn from the priors of the mixed model."""
+    design = mixed.design
+    spread, level = design.spread[0], rng.uniform(-FARTHEST, FARTHEST)
+    scatter = np.exp(mixed.from_standard_normal(rng.standard_normal((1, mixed.dim)))[0, 0])
+    tests_gain, record_gain = GAIN * rng.standard_normal(2)
+    nominal = spread * design.z_sd[0] * rng.standard_normal()
+    sd = np.hypot(scatter, READING)
+    values = nominal + sd * rng.standard_normal(TESTS) - tests_gain
+    nominals, scatters = posterior_of(values, mixed, rng)
+    tests = nominals + scatters * rng.standard_normal(N)
+    draws = [gains.applied({"slip_fwd": np.exp(x)}) for x in (nominals, tests)]
+    device = draws[1] | {"loop": np.ones(N)}
+    expected = acceptance.Expected(draws[0], device, device, None, ())
+    value = float(np.exp(nominal + level + sd * rng.standard_normal() - record_gain))
+    record = SimpleNamespace(columns={"force": ("", "kip"), "displacement": ("", "in")})
+    group = (acceptance.ComparedRecord(record, None, {"slip_fwd": value}, expected),)
+    levels = acceptance.Level.of(group, independent=True)
+    return level, acceptance.judge("", group, levels, levels.p_value, LIMITS)
+
+
+def risks(label, levels, devices, campaigns, names):
+    """Rows of the probabilities of wrong verdicts: as stated, and as observed.
+
+    The standard error takes the devices of one campaign for one observation.
+    """
+    table = pd.concat([d.rows.loc[names] for d in devices], ignore_index=True)
+    beyond = np.repeat(np.abs(np.expm1(levels)) > LIMITS["slip_fwd"], len(names))
+    cluster, rows = np.repeat(campaigns, len(names)), []
+    for verdict, risk, wrong in (
+        ("within the limit", "p_wrong_acceptance", beyond),
+        ("beyond the limit", "p_wrong_rejection", ~beyond),
+    ):
+        judged = (table["verdict"] == verdict).to_numpy()
+        stated = table.loc[judged, risk].to_numpy()
+        sums = pd.Series(wrong[judged] - stated).groupby(cluster[judged]).sum()
+        error, n = np.sqrt(np.sum(sums**2)) / judged.sum(), judged.sum()
+        row = {"devices": label, "verdict": verdict, "number": n, "wrong": wrong[judged].sum()}
+        row |= {"stated %": 100 * stated.mean(), "observed %": 100 * wrong[judged].mean()}
+        row |= {"standard error %": 100 * error, "apart, se": sums.sum() / n / error}
+        rows.append({k: round(v, 2) if isinstance(v, float) else v for k, v in row.items()})
+    return rows
+
+
+SCALED = [*SLIP, "build_up_slope", "peak_fwd", "peak_bwd", "energy_per_cycle"]
+SCALED += ["effective_stiffness"]  # what a factor of the force multiplies
+
+
+def devices_of_prototypes(options, count, number):
+    """Levels of devices whose forces are off by a factor, the devices judged, their prototypes."""
+    set_scatter()
+    rng, pool = np.random.default_rng(options.seed), []
+    for seed in range(1, count + 1):
+        run = prototype(options.out / f"s{seed}", seed)
+        settings = stating(run.manifest.settings, GAIN)
+        run = replace(run, manifest=run.manifest.changed(settings=settings))
+        gains = measurement.gains_of_another(run, GAIN, 2 * N)
+        pool.append(comparison(run, options.out / f"s{seed}", rng, 2 * N, gains))
+    levels, seeds = rng.uniform(-FARTHEST, FARTHEST, number), np.arange(number) % count
+    devices = []
+    for level, seed in zip(levels, seeds, strict=True):
+        gain = GAIN * (rng.standard_normal() - rng.standard_normal())  # of the tests, of the record
+        group, of_device = pool[seed](np.exp(level + gain) * production_test(rng, {})[2])
+        devices.append(acceptance.judge("", group, of_device, of_device.p_value, LIMITS))
+    return levels, devices, seeds
+
+
+def guard(options):
+    number = 40 if options.quick else DEVICES
+    rows = []
+    for label, uncertainty in (("mixed model", GAIN), ("the same, gains not stated", 0.0)):
+        gains = Gains()
+        if uncertainty:
+            gains = measurement.gains_of_another(stating_run(uncertainty), uncertainty, N)
+        rng, devices = np.random.default_rng(options.seed), []
+        mixed = mixed_model(SCATTER)
+        for _ in range(number):
+            devices.append(campaign_of_its_own(rng, mixed, gains))
+        levels, judged = zip(*devices, strict=True)
+        rows += risks(label, np.array(levels), judged, np.arange(number), ["slip_fwd"])
+    print(f"{number} devices, limits 15 %; two load cells, gains known to {100 * GAIN:g} % each")
+    table(rows)
+    count = 2 if options.quick else options.prototypes
+    levels, judged, seeds = devices_of_prototypes(options, count, number)
+    print(f"\n{number} devices of {count} simulated prototypes, whose tests scatter by 2 %")
+    groups = {name: [name] for name in SCALED} | {"all": SCALED}
+    table([r for name, names in groups.items() for r in risks(name, levels, judged, seeds, names)])
+
+
+ACTIONS = {"good": good, "drift": drift, "real": real, "gain": gain, "guard": guard}
 
 
 def main():

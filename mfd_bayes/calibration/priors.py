@@ -282,6 +282,8 @@ WRITTEN = "priors.toml"  # the prior file that `mfd-bayes init` writes beside a 
 SCALES = MappingProxyType(
     {"force": ("force", "kip"), "length": ("displacement", "in"), "speed": ("velocity", "in/s")}
 )
+MEASURED = ("force", "displacement")  # a prior file may state how well their gains are known
+MOST_UNCERTAIN = 0.2  # standard uncertainties of gains lie below this share
 # a multiple of one of them, or of one over another
 _MULTIPLE = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s+(force|length|speed)(?:/(length|speed))?\s*"
@@ -311,6 +313,8 @@ class PriorFile:
     title: str
     parameters: Mapping[str, Prior]
     scatter: Mapping[str, Scatter]
+    measurement: Mapping[str, float] = field(default_factory=dict)
+    """Standard uncertainties, shares, of `MEASURED` where a campaign states none."""
 
     @property
     def gap(self) -> float | None:
@@ -374,11 +378,13 @@ def load_priors(
         raise PriorError(f"prior file {path.name} {error}") from error
     with _in(f"[scales] of prior file {path.name}"):
         scales = _scales(content["scales"]) if "scales" in content else None
-    if unknown := set(content) - {"title", "scales", "parameters", "scatter"}:
+    if unknown := set(content) - {"title", "scales", "measurement", "parameters", "scatter"}:
         raise PriorError(
             f"unknown key '{min(unknown)[:60]}' in prior file {path.name}; "
-            "it may hold title, scales, parameters and scatter"
+            "it may hold title, scales, measurement, parameters and scatter"
         )
+    with _in(f"[measurement] of prior file {path.name}"):
+        measurement = _measurement(content.get("measurement", {}))
     quantities = {n: _in_model(q, model) for n, q in known_quantities(model).items() if q.sampled}
     required = set(quantities)
     if model is not None and of_others:
@@ -400,7 +406,8 @@ def load_priors(
                 continue
         with _in(f"scatter {key[:60]} in {path.name}"):
             groups[key] = _scatter(table | {"parameters": members}, quantities)
-    return PriorFile(path, str(content.get("title", path.stem)), parameters, groups)
+    title = str(content.get("title", path.stem))
+    return PriorFile(path, title, parameters, groups, measurement)
 
 
 def _in_model(quantity: Quantity, model: Model | None) -> Quantity:
@@ -418,6 +425,17 @@ def _scales(table: Any) -> dict[str, float]:
     if not isinstance(table, dict) or set(table) != set(SCALES):
         raise PriorError("it must hold force, length and speed")
     return {k: _figure(k, table[k], kind, positive=True) for k, (kind, _) in SCALES.items()}
+
+
+def _measurement(table: Any) -> dict[str, float]:
+    """Standard uncertainties of the calibrations of instruments, as shares."""
+    if not isinstance(table, dict) or not set(table) <= set(MEASURED):
+        raise PriorError('it may hold force and displacement alone, such as force = "0.5 %"')
+    shares = {k: _figure(k, table[k], "dimensionless", positive=True) for k in table}
+    for key, share in shares.items():
+        if not share < MOST_UNCERTAIN:
+            raise PriorError(f"{key} must be below {MOST_UNCERTAIN:.0%}, got {table[key]!r:.60}")
+    return shares
 
 
 def _tables(

@@ -28,6 +28,7 @@ from mfd_bayes.campaign.schema import (
     DesignTable,
     General,
     GoalTable,
+    Instrument,
     NoiseName,
     Role,
     TestTable,
@@ -207,6 +208,7 @@ def load_campaign(
         )
     _check_tests(path, settings, force_model)
     _check_order(path, tests)
+    _check_instruments(path, settings)
     names = [*force_model.laws, *([settings.goal.of] if settings.goal and replaced else [])]
     goal = goal_settings(settings.goal, settings.actuation_unit, path, names).goal
     learned = [test.session for test in tests if test.role == "calibrate"]
@@ -383,6 +385,24 @@ def _check_order(path: Path, tests: Sequence[Test]) -> None:
                 f"after of test {test.id!r} in {path} is a test of the same file, {previous.id!r}: "
                 "the window of the one must begin where that of the other ends, or later, got "
                 f"{_window_text(test.window)} after {_window_text(previous.window)}"
+            )
+
+
+def _check_instruments(path: Path, settings: CampaignFile) -> None:
+    """Refuse two uncertainties of one instrument, or of one arm."""
+    stated: dict[Instrument, tuple[str, float]] = {}
+    for test, instrument, uncertainty in settings.stated_uncertainties():
+        other_test, other_value = stated.setdefault(instrument, (test, uncertainty))
+        if uncertainty != other_value:
+            role, name = instrument
+            key, hint = "uncertainty", "; or name two instruments by the key instrument"
+            words = f"instrument {name!r} of the {role}"
+            if role == "arm":
+                key, words, hint = "arm_uncertainty", f"arm, {name!r}", ""
+            raise CampaignError(
+                f"{key} of test {test!r} in {path} must be {other_value:g}, that of test "
+                f"{other_test!r}, which has the same {words}, got "
+                f"{uncertainty:g}{hint}"
             )
 
 

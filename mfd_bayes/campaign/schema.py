@@ -6,10 +6,10 @@ The reader, the manifest of a run and the reference page of the documentation ar
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import date
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import (
     AfterValidator,
@@ -25,6 +25,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from mfd_bayes.calibration.noises import NOISES
+from mfd_bayes.calibration.priors import MOST_UNCERTAIN
 from mfd_bayes.errors import UnitError
 from mfd_bayes.friction import models
 from mfd_bayes.population.design import complete_laws, default_laws
@@ -84,6 +85,9 @@ ACCEPTANCE: Mapping[str, str] = MappingProxyType(
     {"all": "every quantity that has no limit of its own", **cycles.LIMITS}
 )
 """What a device may deviate in from the nominal value of `accept`, as a share."""
+
+CALIBRATION_KEYS = {"uncertainty", "arm_uncertainty", "instrument"}
+"""What a column says of its instrument: records and posteriors do not depend on it."""
 
 RESERVED = frozenset({"campaign", "sentence", "population"})
 """Names beside those of the tests in the verdicts and steps of a run, in small letters."""
@@ -155,6 +159,17 @@ def _kind_of_actuation(value: object) -> str:
 def _share(value: object) -> object:
     percent = _PERCENT.fullmatch(value.strip()) if isinstance(value, str) else None
     return float(percent[1]) / 100.0 if percent else value
+
+
+def _uncertainty(value: object) -> float:
+    """A standard uncertainty as a share, of a number or of a text such as "0.5 %"."""
+    share = _share(value)
+    if isinstance(share, float) and 0.0 < share < MOST_UNCERTAIN:
+        return share
+    raise ValueError(
+        'a standard uncertainty is a share such as "0.5 %" or 0.005, above 0 and below '
+        f"{MOST_UNCERTAIN:.0%}"
+    )
 
 
 def _day(value: object) -> object:
@@ -237,6 +252,7 @@ QuantityText = Annotated[str, Field(max_length=200)]
 Path1000 = Annotated[str, Field(min_length=1, max_length=1000)]
 Tolerance = Annotated[float, Field(gt=0, strict=True), BeforeValidator(_share)]
 Limit = Annotated[float, Field(gt=0, lt=1, strict=True), BeforeValidator(_share)]
+Uncertainty = Annotated[float, BeforeValidator(_uncertainty)]
 Covariates = Annotated[
     tuple[Literal["velocity", "amplitude", "date", "cycles", "temperature"], ...],
     AfterValidator(_once),
@@ -279,7 +295,8 @@ class Column(TomlTable):
     @property
     def source(self) -> Source:
         """The column as records are read."""
-        options = self.model_dump(exclude={"name", "column", "unit", "minus"}, exclude_none=True)
+        exclude = {"name", "column", "unit", "minus", *CALIBRATION_KEYS}
+        options = self.model_dump(exclude=exclude, exclude_none=True)
         subtrahend = getattr(self, "minus", None)
         minus = (
             None
@@ -328,6 +345,19 @@ class DisplacementColumn(SignedColumn):
     measured_at: QuantityText = ""
     """with `arm`: a travel or a force was measured at this radius, and is converted to that at
     the arm"""
+    uncertainty: Uncertainty | None = None
+    """standard uncertainty of the gain of the instrument, by its calibration, as a share (`0.005`)
+    or `"0.5 %"`; by default that of the prior file, else none"""
+    arm_uncertainty: Uncertainty | None = None
+    """that of the `arm`, likewise; force and displacement that have the same arm share it"""
+    instrument: Text = ""
+    """name of the instrument, `"load cell 2"`; tests with the same one share its deviation"""
+
+    @model_validator(mode="after")
+    def _of_an_arm(self) -> Self:
+        if self.arm_uncertainty is not None and not self.arm:
+            raise ValueError('arm_uncertainty needs an arm such as "4 in", of which it is')
+        return self
 
 
 class ForceColumn(DisplacementColumn):
@@ -572,6 +602,13 @@ class DesignTable(TomlTable):
         return self.target.get(item.name) or self.target.get(item.quantity)
 
 
+class Instrument(NamedTuple):
+    """What measures "force" or "displacement", by its name; or an "arm", by its length."""
+
+    role: str
+    name: str = ""
+
+
 class CampaignFile(TomlTable):
     """A whole campaign file; the manifest of a run holds it as `settings`."""
 
@@ -645,6 +682,16 @@ class CampaignFile(TomlTable):
         if isinstance(test.actuation, Column):
             columns["actuation"] = test.actuation
         return columns
+
+    def stated_uncertainties(self) -> Iterator[tuple[str, Instrument, float]]:
+        """Test, instrument and standard uncertainty of each column that states one."""
+        for test in self.test:
+            for role, column in self.columns_of(test).items():
+                if isinstance(column, DisplacementColumn):
+                    if column.uncertainty is not None:
+                        yield test.id, Instrument(role, column.instrument), column.uncertainty
+                    if column.arm_uncertainty is not None:
+                        yield test.id, Instrument("arm", column.arm), column.arm_uncertainty
 
     def with_test(self, name: str, **changes: Any) -> Self:
         """The file with changed keys of a test."""

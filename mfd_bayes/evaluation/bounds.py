@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mfd_bayes.evaluation.measurement import gains_of
 from mfd_bayes.evaluation.properties import (
     Array,
     applicable,
@@ -63,8 +64,8 @@ def drawn_properties(
     """Draws of the properties of a motion by basis of `BASES`, then by name, (n,) each.
 
     `places` are session and device of the tests. The mean property has the mean excess of
-    measured peaks, the others its scatter too. Energies of the
-    cycles at full stroke, "energy", are (n, L).
+    measured peaks, the others its scatter too. All have the uncertainty of the instruments' gains.
+    Energies of the cycles at full stroke, "energy", are (n, L).
     """
     peaks, axes, properties = run.peaks, run.manifest.axes, {}
 
@@ -87,10 +88,12 @@ def drawn_properties(
             | {"energy": cycle_energies(trace, band.draws)}
             for band, test in zip(several, quiet, strict=True)
         ]
-        properties[basis] = {
+        as_read = {
             name: np.concatenate([values[name] for values in band_properties])
             for name in band_properties[0]
         }
+        gains = gains_of(run, sum(len(band.draws) for band in several))
+        properties[basis] = gains.applied(as_read)
     return properties
 
 

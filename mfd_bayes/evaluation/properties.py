@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import derive_from_parameters
 from mfd_bayes.campaign.schema import CampaignFile
+from mfd_bayes.evaluation.measurement import EXACT, Gains, gains_of
 from mfd_bayes.evaluation.scores import Rows, spread_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.bands import Band
@@ -113,9 +114,10 @@ def predicted_rows(
     """Properties of a prediction, with intervals of the band's probability.
 
     Those of a band of kind "observation" have offset and noise, as a measured record has them. The
-    measured values of a `record` stand beside them. `previous` is the test that the motion follows
-    without a reset, `given_trace` the trace with the force of the part that was given, `device` and
-    `session` those that were predicted.
+    measured values of a `record` stand beside them. They were read by the tests' instruments: the
+    uncertainty of the gains, which the intervals have, excuses no miss. `previous` is the test that
+    the motion follows without a reset, `given_trace` the trace with the force of the part that was
+    given, `device` and `session` those that were predicted.
     """
     test = band
     if band.kind == "observation":
@@ -138,7 +140,8 @@ def predicted_rows(
     cycles = None if record is None else measured_cycles(record.trace())
     measured = {} if cycles is None else cycles.of_test()
     draws = applicable(draws, first_run.system.axes)
-    return property_rows("", band.kind, trace, draws, measured, band.probability)
+    gains = gains_of(first_run, len(band.draws))
+    return property_rows("", band.kind, trace, draws, measured, band.probability, gains)
 
 
 def applicable(properties: Mapping[str, Array], axes: Axes) -> dict[str, Array]:
@@ -157,10 +160,12 @@ def property_rows(
     draws: Mapping[str, Array],
     measured: Mapping[str, float],
     probability: float = 0.95,
+    gains: Gains = EXACT,
 ) -> Rows:
     """Rows of properties, in the order of `PROPERTIES`, from draws (n,) by name.
 
-    `role` is a test's, or the kind of a prediction.
+    `role` is a test's, or the kind of a prediction. Draws and measured values are as the
+    instruments read them, whose `gains` widen the intervals.
     """
     full, tail = find_loops(trace).strong, 0.5 * (1.0 - probability)
     strong, ramps = int(np.count_nonzero(full)), int(np.count_nonzero(~full))
@@ -179,7 +184,7 @@ def property_rows(
         value = measured.get(name, float("nan"))
         rows.append(
             {"test": test, "role": role, "name": name, "unit": quantity.unit}
-            | spread_of(draws[name], tail)
+            | spread_of(draws[name] * gains.factor(name), tail)
             | {"measured": value, "note": note, "missed": is_missed(draws[name], value, name)}
         )
     return tuple(rows)

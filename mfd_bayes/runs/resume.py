@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from mfd_bayes.calibration.priors import PriorFile
+from mfd_bayes.campaign.schema import CALIBRATION_KEYS
 from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.models import file_of
 from mfd_bayes.jobs.job import JobState
@@ -57,7 +58,10 @@ def with_keys(manifest: Manifest, priors: PriorFile) -> Manifest:
     }
     keys = {}
     for name, test in settings.tests.items():
-        columns = {role: c.model_dump() for role, c in settings.columns_of(test).items()}
+        columns = {
+            role: column.model_dump(exclude=CALIBRATION_KEYS)
+            for role, column in settings.columns_of(test).items()
+        }
         record = manifest.inputs[test.file], Path(test.file).suffix.lower()
         content = name, test.role, record, columns, test.window, str(test.actuation)
         keys[folder_of(name)] = _digest(content, of_all)

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from mfd_bayes.campaign.schema import TestTable
+from mfd_bayes.campaign.schema import ForceColumn, TestTable
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.records.readers import read_table
@@ -27,6 +27,17 @@ def stated_conditions(command: Any) -> dict[str, float]:
         raise CampaignError(
             f"--{wrong['loc'][0]}: {wrong['msg'].removeprefix('Value error, ')}"
         ) from error
+
+
+def stated_uncertainty(text: str) -> float:
+    """Standard uncertainty of a load cell, a share, of `--uncertainty "0.5 %"`; 0 of ""."""
+    if not text:
+        return 0.0
+    try:
+        return ForceColumn.model_validate({"column": 1, "uncertainty": text}).uncertainty or 0.0
+    except ValidationError as error:
+        message = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise CampaignError(f"--uncertainty: {message}, got {text!r:.60}") from error
 
 
 def stated_actuation(run: Run, text: str) -> str:

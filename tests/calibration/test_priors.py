@@ -103,6 +103,11 @@ def write(folder, text):
         (multiple(scales='[scales]\nforce = "7 N"\n'), "length"),
         (multiple(scales=STATED.replace("1.5 kip", "-1 kip")), "force"),
         (multiple("1 length"), "median"),
+        ('[measurement]\nforc = "0.5 %"\n', "measurement"),
+        ("measurement = 3\n", "measurement"),
+        ('[measurement]\nforce = "25 %"\n', "force must be below 20%"),
+        ('[measurement]\nforce = "-1 %"\n', "force"),
+        ('[measurement]\nforce = "1 kip"\n', "force"),
         (f'[parameters.{"x" * 9000}]\nfamily = "normal"', "xxx"),
     ],
 )
@@ -113,6 +118,13 @@ def test_a_bad_file_is_refused_by_one_short_sentence(tmp_path, text, name):
     assert "mine.toml" in sentence
     assert "\n" not in sentence
     assert len(sentence) <= 1000
+
+
+def test_a_prior_file_may_state_how_well_gains_are_known(tmp_path):
+    text = '[measurement]\nforce = "0.5 %"\ndisplacement = 0.002\n'
+    stated = load_priors(str(write(tmp_path, text))).measurement
+    assert stated == pytest.approx({"force": 0.005, "displacement": 0.002})
+    assert load_priors("mfd").measurement == {}
 
 
 def test_a_scatter_that_is_likely_none_is_exponential(tmp_path):

@@ -133,6 +133,12 @@ def given(table, key, value):
     return f"[{table}]\n{key} = {value}\n{TEST}"
 
 
+def instruments(force_a, force_b):
+    """Two tests, each with what is said of the force beside its name."""
+    entry = TEST + 'columns.force = { name = "force_kip", '
+    return f"{entry}{force_a} }}\n{entry.replace('p500', 'q500')}{force_b} }}\n"
+
+
 FORCE, TIME = 'name = "f"', 'name = "t"'
 
 REFUSED = [
@@ -171,6 +177,20 @@ REFUSED = [
     (order(one="", two="on"), "after of test 'two'"),
     (order(a="", b="a", c="a"), "test 'b' follows"),
     (order(a="c", b="a", c="b"), "a after c after b after a"),
+    *(
+        (given("columns", "force", f"{{ {FORCE}, uncertainty = {value} }}"), 'such as "0.5 %"')
+        for value in ("0", "0.2", "true", "nan", "-0.01", '"1 kip"', '"25 %"', '"0.005"')
+    ),
+    (given("columns", "force", f"{{ {FORCE}, arm_uncertainty = 0.01 }}"), "needs an arm"),
+    (given("columns", "velocity", f"{{ {FORCE}, uncertainty = 0.01 }}"), "'uncertainty'"),
+    (
+        instruments("uncertainty = 0.01", "uncertainty = 0.02"),
+        "uncertainty of test 'q500_f0.05'",
+    ),
+    (
+        instruments('arm = "4 in", arm_uncertainty = 0.01', 'arm = "4 in", arm_uncertainty = 0.02'),
+        "must be 0.01, that of test 'p500_f0.05', which has the same arm, '4 in'",
+    ),
     (parts("0 s to 5 s", None), "all of the file after 0 s to 5 s"),
     (parts("0 s to 5 s", "4 s to 9 s"), "4 s to 9 s after 0 s to 5 s"),
 ]
@@ -186,6 +206,18 @@ def test_a_bad_campaign_is_refused_in_one_sentence_that_names_the_fault(folder, 
     assert expected in message
     assert "c.toml" in message
     assert "\n" not in message
+
+
+def test_two_instruments_may_have_two_uncertainties(folder):
+    second = 'uncertainty = "2 %", instrument = "load cell 2"'
+    campaign = load(folder, instruments("uncertainty = 0.01", second))
+    stated = [
+        (test, *instrument, u) for test, instrument, u in campaign.settings.stated_uncertainties()
+    ]
+    assert stated == [
+        ("p500_f0.05", "force", "", 0.01), ("q500_f0.05", "force", "load cell 2", 0.02)
+    ]  # fmt: skip
+    assert campaign.tests[1].columns["force"] == Source("force_kip")
 
 
 def test_a_test_may_follow_another_in_any_place_or_in_the_same_file(folder):

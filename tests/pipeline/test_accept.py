@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 import mfd_bayes as mb
+from mfd_bayes.applications.acceptance.judgement import guard_band
 from mfd_bayes.applications.properties.datasheet import datasheet
 from mfd_bayes.campaign.synthetic import Matrix, draw_record, draw_values
 from tests.command_line import here, write_csv
@@ -113,6 +114,8 @@ def test_bounds_are_those_of_the_data_sheet_and_what_they_hold_does_not_differ(r
         ("record", {"device": None}, "device must be a name"),
         ("record", {"device": [5]}, "device must be a name"),
         ("record", {"limits": "all"}, "limits must be shares"),
+        ("record", {"uncertainty": 0.3}, "uncertainty must be a share"),
+        ("record", {"uncertainty": "1 %"}, "uncertainty must be a share"),
         ("constant", {}, "the force is the same throughout"),
     ],
 )
@@ -133,7 +136,7 @@ def test_each_device_has_a_page_to_file(batch):
     folder, _ = batch
     page = (folder / "strong.html").read_text(encoding="utf-8")
     assert re.search(r"strong\.csv, SHA-256 [0-9a-f]{64}", page)
-    for text in ("Rejected", "1000 psi", "Signature", "data:image/png;base64,"):
+    for text in ("Rejected", "1000 psi", "guard band", "Signature", "data:image/png;base64,"):
         assert text in page
     assert "http" not in re.sub(r'http-equiv="[^"]*"', "", page)  # it loads nothing
     assert (folder / "acceptance.png").stat().st_size > 1000
@@ -164,6 +167,71 @@ def test_wide_limits_are_kept_and_narrow_ones_are_not_shown(run, record):
     assert 0.04 < at_end.rows.loc["slip_fwd", "beyond_limit"] < 0.11  # intervals of 90 %
 
 
+def stating(run, uncertainty):
+    """The run whose campaign states the uncertainty of its load cell."""
+    settings = run.manifest.settings
+    force = settings.columns.force.model_copy(update={"uncertainty": uncertainty})
+    columns = settings.columns.model_copy(update={"force": force})
+    settings = settings.model_copy(update={"columns": columns})
+    return replace(run, manifest=run.manifest.changed(settings=settings))
+
+
+def test_a_common_load_cell_cancels_and_another_widens_what_has_a_force_in_it(run, record):
+    (exact,) = mb.accept(run, record)
+    (common,) = mb.accept(stating(run, 0.1), record)
+    pd.testing.assert_frame_equal(common.rows, exact.rows)
+    (other,) = mb.accept(stating(run, 0.1), record, uncertainty=0.1)
+    (alone,) = mb.accept(run, record, uncertainty=0.1)
+    sds = [
+        np.log1p(0.01 * d.rows["effect_upper"]) - np.log1p(0.01 * d.rows["effect_lower"])
+        for d in (exact, alone, other)
+    ]
+    for name in ("slip_fwd", "peak_bwd", "energy_per_cycle", "effective_stiffness"):
+        for device, gains in ((1, 0.1), (2, 0.1 * np.sqrt(2.0))):
+            expected = np.hypot(sds[0][name], 2.0 * 1.645 * gains)
+            assert sds[device][name] == pytest.approx(expected, rel=0.15), name
+    for name in ("gap", "effective_damping"):
+        assert sds[2][name] == sds[0][name]
+    assert (other.rows["detectable"] >= exact.rows["detectable"]).drop("loop")[:2].all()
+    # several records of one device have the load cell in common, and do not narrow it
+    (three,) = mb.accept(run, [record] * 3, device="no. 17", uncertainty=0.1)
+    widths = three.rows["effect_upper"] - three.rows["effect_lower"]
+    assert widths["energy_per_cycle"] > 100.0 * 2.0 * 1.645 * 0.1 * 0.85
+
+
+def test_a_level_at_the_guard_band_is_beyond_the_limit_with_five_per_cent(run, record, production):
+    (device,) = mb.accept(run, record)
+    row = device.rows.loc["slip_fwd"]
+    half = 0.5 * np.log1p(row["effect_upper"] / 100.0) - 0.5 * np.log1p(row["effect_lower"] / 100.0)
+    limit = 0.01 * row["limit"]
+    nearest = max((1.0 + limit) * -np.expm1(-half), (1.0 - limit) * np.expm1(half))
+    assert 0.01 * row["guard_band"] == pytest.approx(nearest, rel=0.15)
+    effect = np.random.default_rng(1).normal(0.0, 0.03, 20_000)
+    guard = guard_band(effect, 0.15)
+    upper, lower = np.log1p(0.15 - guard), np.log1p(guard - 0.15)
+    residual = effect - np.median(effect)
+    beyond = [np.mean(np.abs(np.expm1(level + residual)) > 0.15) for level in (upper, lower)]
+    assert max(beyond) == pytest.approx(0.05, abs=0.001)  # the nearer limit, and less at the other
+    assert min(beyond) < 0.05
+
+
+def test_risks_stand_beside_the_verdicts_that_may_be_wrong(batch):
+    _, table = batch
+    within, beyond = (table["verdict"] == f"{side} the limit" for side in ("within", "beyond"))
+    assert beyond.any()
+    risk = table["beyond_limit"]
+    pd.testing.assert_series_equal(
+        table["p_wrong_acceptance"], risk.where(within), check_names=False
+    )
+    pd.testing.assert_series_equal(
+        table["p_wrong_rejection"], (1.0 - risk).where(beyond), check_names=False
+    )
+    assert (table["guard_band"].notna() == table["limit"].notna()).all()
+    inside = table["effect"].abs() <= table["limit"] - table["guard_band"]
+    assert inside.any()
+    assert (risk[inside] <= 0.06).all()  # the farther limit adds a little
+
+
 def test_what_cannot_be_judged_is_refused(out, production, tmp_path):
     valid, swapped = production("good.csv"), production("swapped.csv", -1.0)
     for path, words, offender in (
@@ -173,6 +241,8 @@ def test_what_cannot_be_judged_is_refused(out, production, tmp_path):
         (valid, ("--actuation", "5 kip"), "--actuation"),
         (valid, ("--date", "5.3.2024"), "--date"),
         (valid, ("--cycles", "-1"), "--cycles"),
+        (valid, ("--uncertainty", "25 %"), "--uncertainty"),
+        (valid, ("--uncertainty", "load cell"), "--uncertainty"),
         (swapped, (), "sign"),
     ):
         options = ("--actuation", "1000 psi", "-o", tmp_path / "qc", *words)

@@ -46,6 +46,10 @@ def updated(**values):
     return lambda settings: settings.model_copy(update=values)
 
 
+def stated_gain(priors):
+    return replace(priors, measurement={"force": 0.005})
+
+
 CHANGES = {
     # settings, priors, tests whose posteriors are kept, population kept, predictions kept
     "nothing": (updated(), None, "ab", True, True),
@@ -54,6 +58,7 @@ CHANGES = {
     "session": (lambda s: s.with_test("a", session="Monday"), None, "ab", False, False),
     "laws": (lambda s: updated(laws={**s.laws, "sigma0": "constant"})(s), None, "ab", False, False),
     "scatter": (updated(), wider_scatter, "ab", False, False),
+    "gain": (updated(), stated_gain, "ab", True, True),
     "window": (lambda s: s.with_test("a", window="0 s to 1 s"), None, "b", False, False),
     "actuation": (lambda s: s.with_test("b", actuation="999 psi"), None, "a", False, False),
     "prior": (updated(), other_k3, "", False, False),

@@ -20,7 +20,12 @@ from mfd_bayes.records.cycles import LIMITS
 from mfd_bayes.reporting.tables import to_csv
 from mfd_bayes.runs.folder import check_folder
 from mfd_bayes.runs.run import Run, actuation_level, open_run
-from mfd_bayes.runs.stated import read_as_tests, stated_actuation, stated_conditions
+from mfd_bayes.runs.stated import (
+    read_as_tests,
+    stated_actuation,
+    stated_conditions,
+    stated_uncertainty,
+)
 from mfd_bayes.store.files import remove_file, write_bytes, write_text
 
 # --- devices are compared with the others
@@ -34,7 +39,8 @@ def run_accept(options: AcceptOptions) -> None:
     warn(remark for each in devices for remark in each.remarks)
     if not options.quiet:
         for each in devices:
-            heads = ["effect, %", "90 % interval", "limit, %", "percentile", "p", "verdict"]
+            heads = ["effect, %", "90 % interval", "limit - guard band, %", "percentile", "p"]
+            heads.append("verdict")
             rows = [
                 (f"{row['quantity']} {row['direction']}".strip(), *_effect_cells(row))
                 for _, row in each.rows.iterrows()
@@ -54,7 +60,7 @@ def _effect_cells(row: Any) -> tuple[str, ...]:
     return (
         f"{row['effect']:+.1f}" if has else "",
         f"{row['effect_lower']:+.1f} to {row['effect_upper']:+.1f}" if has else "",
-        f"±{row['limit']:.3g}" if math.isfinite(row["limit"]) else "",
+        f"±{row['limit']:.3g} - {row['guard_band']:.1f}" if math.isfinite(row["limit"]) else "",
         f"{row['percentile']:.1f}",
         f"{row['p_value']:.3f}",
         str(row["verdict"]),
@@ -77,7 +83,7 @@ def parse_limits(texts: tuple[str, ...]) -> dict[str, float]:
 def accept_records(options: AcceptOptions) -> tuple[tuple[Acceptance, ...], tuple[Path, ...]]:
     """Compare devices with those of a run; table, pages (returned) and picture are written."""
     check_folder(options.folder, force=options.force)
-    limits = parse_limits(options.limit)
+    limits, uncertainty = parse_limits(options.limit), stated_uncertainty(options.uncertainty)
     run = replace(open_run(options.out, trust=options.trust_model), units=options.units)
     options = replace(options, actuation=stated_actuation(run, options.actuation))
     actuation_level(run, options.actuation)
@@ -91,6 +97,7 @@ def accept_records(options: AcceptOptions) -> tuple[tuple[Acceptance, ...], tupl
         conditions=stated_conditions(options),
         draws=options.draws,
         seed=options.seed,
+        uncertainty=uncertainty,
     )
     return devices, _write_acceptance(run, options, devices)
 
@@ -108,7 +115,9 @@ def _write_acceptance(
         f"{manifest.title}, {run.folder.resolve().name} (seed {manifest.seed}, {manifest.finished})"
     )
     actuation = {"actuation": options.actuation} if run.system.axes.actuated else {}
+    load_cell = {"load cell": f"another, {options.uncertainty}"} if options.uncertainty else {}
     heading = [f"run {provenance}", *(f"actuation {level}" for level in actuation.values())]
+    heading += [f"load cell: {words}" for words in load_cell.values()]
     heading.append(f"date {today}")
     heading += [f"{d.device}: {d.sentence}" for d in devices]
     write_text(folder / "acceptance.csv", to_csv(acceptance_table(devices, run.system), heading))
@@ -120,6 +129,7 @@ def _write_acceptance(
         }
         facts |= {
             **actuation,
+            **load_cell,
             "compared with": f"{provenance}: {len(run.tests)} calibrated tests of {compared}",
             "program": f"mfd_bayes {manifest.versions.get('mfd_bayes', '')}",
         }

@@ -15,6 +15,17 @@ inside its 95 % interval, that of a measurement in the data sheet, does not diff
 of a batch it is adjusted by Benjamini and Hochberg (1995). Where the calibrated tests themselves
 scatter more than the population says, all scatter of that quantity is widened by the Birge ratio
 (Birge, 1932).
+
+A load cell that measured the tests and the record cancels. Where another one measured the record,
+the nominal value is the one that it would read: its gain and that of the tests' load cell enter all
+quantities of one draw alike (`evaluation.measurement`).
+
+With the posterior probability p that the level is beyond its limit, a verdict is wrong with the
+specific consumer's risk p of an acceptance and the specific producer's risk 1 − p of a rejection
+(JCGM 106:2012, 9.3.2). With r the effect less its median, a level is accepted whose median effect
+lies inside the limit L by the guard band
+
+    max {L − exp[ln(1 + L) − r₀.₉₅] + 1,  L + exp[ln(1 − L) − r₀.₀₅] − 1}
 """
 
 from __future__ import annotations
@@ -28,7 +39,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from mfd_bayes.calibration.priors import MOST_UNCERTAIN
 from mfd_bayes.errors import CampaignError, RecordError
+from mfd_bayes.evaluation.measurement import EXACT, Gains, gains_of_another
 from mfd_bayes.evaluation.properties import (
     applicable,
     measured_of,
@@ -84,6 +97,7 @@ def accept(
     conditions: Mapping[str, float] | None = None,
     draws: int = DRAWS,
     seed: int = 0,
+    uncertainty: float = 0.0,
 ) -> tuple[Acceptance, ...]:
     """Whether devices are like the others, from a record or several of each.
 
@@ -105,6 +119,9 @@ def accept(
         quantity of the run follows them.
     draws : int
     seed : int
+    uncertainty : float
+        Standard uncertainty, a share, of the gain of the load cell that measured the records, where
+        it is another than that of the tests; 0 for the same one, whose gain cancels.
 
     Raises
     ------
@@ -128,6 +145,10 @@ def accept(
         raise CampaignError(f"device must be a name, or one of each record, got {device!r}")
     if limits is not None and not isinstance(limits, Mapping):
         raise CampaignError(f"limits must be shares by name, such as all=0.15, got {limits!r}")
+    if not isinstance(uncertainty, int | float) or not 0.0 <= uncertainty < MOST_UNCERTAIN:
+        raise CampaignError(
+            f"uncertainty must be a share from 0 to below {MOST_UNCERTAIN:g}, got {uncertainty!r}"
+        )
     names = [device or r.path.stem for r in measured] if isinstance(device, str) else [*devices]
     if len(names) != len(measured):
         raise CampaignError(
@@ -143,6 +164,7 @@ def accept(
     groups: dict[str, list[ComparedRecord]] = {}
     ratios = birge_ratios(run)
     how: dict[str, Any] = {"ratios": ratios, "draws": draws, "seed": seed}
+    how["gains"] = gains_of_another(run, uncertainty, draws) if uncertainty else EXACT
     how["place"] = {"session": session, "conditions": conditions}
     for name, record in zip(names, measured, strict=True):
         trace = trace_of(run, record)
@@ -196,11 +218,13 @@ def expect(
     ratios: Mapping[str, float],
     draws: int = DRAWS,
     seed: int = 0,
+    gains: Gains = EXACT,
 ) -> Expected:
     """What the population expects of a record of a device under a motion and an actuation.
 
     `place` has the session and the conditions of the record, `rate` is that of its samples, Hz, and
-    `ratios` are those of `birge_ratios`.
+    `ratios` are those of `birge_ratios`, `gains` those of the tests' instruments over those of the
+    record's, of as many draws.
     """
     motion, peaks, place = replace(trace, force=None), run.peaks, dict(place or {})
     resolution = at_rate(run, motion, {**place, "device": device}, rate)
@@ -210,7 +234,7 @@ def expect(
         return run.predict(motion, kind, 1.0 - ALPHA, device=of, **place)
 
     def quantities(band: Band, smooth: Band, excess: Peaks) -> dict[str, Array]:
-        values = applicable(_quantities(motion, band, smooth, excess), run.system.axes)
+        values = applicable(_quantities(motion, band, smooth, excess, gains), run.system.axes)
         return {name: value * resolution.get(name, 1.0) for name, value in values.items()}
 
     def nominal_of(of: str) -> dict[str, Array]:
@@ -330,11 +354,15 @@ def compare_record(record: Record, trace: Trace, expected: Expected) -> Compared
     return ComparedRecord(record, trace, values, expected)
 
 
-def _quantities(trace: Trace, band: Band, smooth: Band, peaks: Peaks) -> dict[str, Array]:
+def _quantities(
+    trace: Trace, band: Band, smooth: Band, peaks: Peaks, gains: Gains = EXACT
+) -> dict[str, Array]:
     """Draws of the quantities of a band; `smooth` is the same without noise, for its peaks."""
     values = properties_of(trace, band.draws, peaks, smooth=without_noise(band, smooth))
+    values = gains.applied(values)
     if band.kind == "observation":
-        values["loop"] = np.sqrt(np.mean((band.draws - band.median) ** 2, axis=1))
+        force = gains.applied({"force": band.draws})["force"]
+        values["loop"] = np.sqrt(np.mean((force - band.median) ** 2, axis=1))
     with np.errstate(invalid="ignore"):
         return {n: np.where(values[n] > 0.0, values[n], np.nan) for n in QUANTITIES if n in values}
 
@@ -435,10 +463,11 @@ def judge(
         if name == "loop":
             low = middle = high = detectable = np.nan
         differs = p_value < ALPHA and p_batch < ALPHA
-        limit, p_beyond, power = limits.get(name, np.nan), np.nan, np.nan
+        limit, p_beyond, power, guard = limits.get(name, np.nan), np.nan, np.nan, np.nan
         verdict = "differs" if differs else "like the others"
         if name in limits:
             p_beyond = float(np.mean(np.abs(np.expm1(effect)) > limit))
+            guard = guard_band(effect, limit)
             power = float(special.ndtr(np.log1p(limit) / sd - level.critical))
             verdict = "beyond the limit" if p_beyond > 0.5 and differs else "cannot tell"
             verdict = "within the limit" if p_beyond <= ALPHA else verdict
@@ -456,6 +485,9 @@ def judge(
             "effect_upper": float(high),
             "limit": 100.0 * limit,
             "beyond_limit": p_beyond,
+            "guard_band": 100.0 * guard,
+            "p_wrong_acceptance": p_beyond if verdict == "within the limit" else np.nan,
+            "p_wrong_rejection": 1.0 - p_beyond if verdict == "beyond the limit" else np.nan,
             "p_value": p_value,
             "detectable": detectable,
             "power": power,
@@ -476,6 +508,19 @@ def judge(
     if axes.of_damper and (hint := _wrong_unit(rows, group)):
         sentence += f" {hint}"
     return Acceptance(device, verdict, sentence, level.p_value, p_batch, named, table, group)
+
+
+def guard_band(effect: Array, limit: float) -> float:
+    """How far inside a limit, a share, the median effect must lie to be within it, a share.
+
+    `effect` are draws of its logarithm, (n,). A median effect so far inside has a probability of
+    `ALPHA` to be beyond the nearer limit; the larger band of both sides.
+    """
+    residual = effect - np.median(effect)
+    lower, upper = np.quantile(residual, [ALPHA, 1.0 - ALPHA])
+    upper_guard = limit - np.expm1(np.log1p(limit) - upper)
+    lower_guard = limit + np.expm1(np.log1p(-limit) - lower)
+    return float(max(upper_guard, lower_guard))
 
 
 def _wrong_unit(rows: Mapping[str, Row], group: Sequence[ComparedRecord]) -> str:

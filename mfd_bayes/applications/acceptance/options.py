@@ -56,6 +56,13 @@ class AcceptOptions:
             show_default="the campaign's, else all=15 %",
         ),
     ] = ()
+    uncertainty: Annotated[
+        str,
+        Option(
+            metavar='"0.5 %"',
+            help="Of the records' load cell, where it is not the one of the tests.",
+        ),
+    ] = ""
     session: Annotated[str, Option(help="The session in which the records were made.")] = ""
     date: Date = ""
     cycles: Cycles = None

@@ -101,6 +101,7 @@ def acceptance_page(
             about=facts,
             rows=to_units(device.rows, system).to_dict("records"),
             number=_number,
+            risk=_risk,
             unit_text=symbols.unit_text,
             pictures=pictures,
             batch=batch,
@@ -108,6 +109,12 @@ def acceptance_page(
             policy=policy_of(),
         )
     )
+
+
+def _risk(row: Mapping[str, Any]) -> float:
+    """Probability that the verdict on a quantity is wrong; NaN where it says neither."""
+    acceptance, rejection = row["p_wrong_acceptance"], row["p_wrong_rejection"]
+    return float(acceptance if math.isfinite(acceptance) else rejection)
 
 
 def _number(value: float, form: str = "") -> str:
