@@ -35,7 +35,7 @@ NOT_INFORMED = "the data do not determine this parameter: its posterior is about
 """Note of a parameter with less contraction."""
 
 DEFAULT_LIMITS: Mapping[str, float] = {"all": 0.15}
-"""Of ASCE/SEI 7 for the properties of a single device against their nominal values (18.2.4.5)."""
+"""Of a device against the others where neither campaign nor standard has any: of no standard."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from typing import Any
 
 import typer
 
-from mfd_bayes.applications.acceptance.judgement import Acceptance, accept
+from mfd_bayes.applications.acceptance.judgement import Acceptance, accept, default_limits
 from mfd_bayes.applications.acceptance.options import AcceptOptions
 from mfd_bayes.applications.acceptance.page import acceptance_table
 from mfd_bayes.console import print_rows, say, warn
@@ -130,6 +130,7 @@ def _write_acceptance(
         facts |= {
             **actuation,
             **load_cell,
+            "limits": "as given" if options.limit else default_limits(run)[1],
             "compared with": f"{provenance}: {len(run.tests)} calibrated tests of {compared}",
             "program": f"mfd_bayes {manifest.versions.get('mfd_bayes', '')}",
         }

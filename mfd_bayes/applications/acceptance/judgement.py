@@ -54,7 +54,13 @@ from mfd_bayes.population.bands import Band
 from mfd_bayes.population.design import CONDITIONS
 from mfd_bayes.population.peaks import NO_EXCESS, Peaks, certain
 from mfd_bayes.records.cross_checks import UNITS as RECORD_UNITS
-from mfd_bayes.records.cycles import LIMITS, PROPERTIES, DeviceProperty, measured_cycles
+from mfd_bayes.records.cycles import (
+    LIMITS,
+    PROPERTIES,
+    DeviceProperty,
+    measured_cycles,
+    properties_called,
+)
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run, prediction_conditions
@@ -111,7 +117,7 @@ def accept(
         by its file. A device that the run knows is compared with itself.
     limits : mapping of str to float, optional
         Largest deviation from the nominal value, as a share, by a name of `LIMITS` or "all". By
-        default those of the campaign, else 15 % of all.
+        default those of `default_limits`.
     session : str, optional
         Session in which the records were made.
     conditions : mapping of str to float, optional
@@ -155,7 +161,7 @@ def accept(
             f"give one device for all records, or one for each: there are {len(measured)} records "
             f"and {len(names)} devices"
         )
-    allowed = complete_limits(limits or run.manifest.settings.limits or DEFAULT_LIMITS)
+    allowed = complete_limits(limits or default_limits(run)[0])
     for quantity, covariates in run.population.design.dependence.items():
         for name in {*covariates} & {*CONDITIONS} - {*(conditions or {})}:
             raise CampaignError(
@@ -177,6 +183,33 @@ def accept(
         judge(name, tuple(group), level, p, allowed, run.system.axes)
         for (name, group), level, p in zip(groups.items(), levels, batch, strict=True)
     )
+
+
+def default_limits(run: Run) -> tuple[Mapping[str, float], str]:
+    """Limits of a run, as shares by a name of `LIMITS` or "all", and whose they are.
+
+    Those of the campaign, else its λ_spec (of both sides the smaller), else what its standard
+    allows a device of a supply, else 15 % of all, which no standard states.
+    """
+    settings, standard = run.manifest.settings, run.manifest.standard
+    if settings.limits:
+        return settings.limits, "the campaign's [limits]"
+    if settings.design is not None:
+        spec = settings.design.lambda_spec
+        sides = [side for side in (1.0 - spec.min, spec.max - 1.0) if side > 0.0]
+        if sides:
+            return {"all": min(sides)}, "lambda_spec of the campaign"
+    by_name = {
+        item.limit: share
+        for requirement in (standard.requirement if standard is not None else ())
+        if requirement.statistic == "supply"
+        for quantity, share in requirement.limits.items()
+        for item in properties_called(quantity)
+        if item.limit
+    }
+    if standard is not None and by_name:
+        return by_name, standard.title
+    return DEFAULT_LIMITS, "15 % of all, which no standard states"
 
 
 def complete_limits(limits: Mapping[str, float]) -> dict[str, float]:

@@ -53,7 +53,7 @@ class AcceptOptions:
         Option(
             metavar='slip="15 %"',
             help="Largest deviation of slip, gap, energy, …, or all; may be repeated.",
-            show_default="the campaign's, else all=15 %",
+            show_default="the campaign's, else its lambda_spec, its standard's, or all=15 %",
         ),
     ] = ()
     uncertainty: Annotated[

@@ -24,6 +24,7 @@ from mfd_bayes.applications.properties.harmonic import (
 )
 from mfd_bayes.campaign.schema import DesignTable
 from mfd_bayes.campaign.standard import Requirement, Standard, Step
+from mfd_bayes.evaluation.measurement import gains_of
 from mfd_bayes.population.design import same_level
 from mfd_bayes.records.cycles import DeviceProperty, cycle_values, quantities
 from mfd_bayes.records.loops import find_loops
@@ -68,8 +69,9 @@ class ConformityRow:
 class Predicted:
     """Draws of the properties of a test's motion, by `DeviceProperty.key`.
 
-    `observed` are of a measurement, for each of the L cycles at full stroke, (n, L); `mean` of the
-    mean property, the same draws of the device for every motion, (m,).
+    `observed` are of a measurement, for each of the L cycles at full stroke, (n, L), with the
+    instruments' gains; `mean` of the mean property, the same draws of the device for every motion,
+    (m,).
     """
 
     observed: Mapping[str, Array] = field(default_factory=dict)
@@ -144,8 +146,9 @@ def predictions(run: Run, tests: Sequence[HarmonicTest]) -> dict[str, Predicted]
             kind: cycle_values(motion, run.predict(motion, kind, **how).draws)
             for kind in ("observation", "mean")
         }
+        gains = gains_of(run, DRAWS)
         of_tests[test.name] = Predicted(
-            {key: each[:, strong] for key, each in values["observation"].items()},
+            gains.applied({key: each[:, strong] for key, each in values["observation"].items()}),
             {key: each[:, strong].mean(axis=1) for key, each in values["mean"].items()},
         )
     return of_tests
