@@ -39,6 +39,7 @@ from mfd_bayes.errors import CampaignError, UnitError, file_inside
 from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import CONDITIONS, complete_laws, default_laws
+from mfd_bayes.records.cycles import quantities
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import (
     NO_ACTUATION,
@@ -450,6 +451,8 @@ def _checked(path: Path, content: dict[str, Any], axes: Axes) -> CampaignFile:
 def _keys(tables: list[str]) -> Collection[str]:
     """Keys that a table may have."""
     table = tables[-1] if tables else ""
+    if table == "target":
+        return quantities()
     return keys_of(table if table in TABLES or len(tables) == 1 else "actuation")
 
 

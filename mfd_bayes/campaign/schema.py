@@ -20,6 +20,7 @@ from pydantic import (
     Field,
     Tag,
     ValidationInfo,
+    field_validator,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
@@ -36,6 +37,7 @@ from mfd_bayes.store.files import nearest
 from mfd_bayes.units import (
     ActuationUnit,
     actuation_factor,
+    dimension_of,
     parse_actuation,
     parse_quantity,
     split_quantity,
@@ -530,9 +532,20 @@ def _target(target: object, info: ValidationInfo) -> object:
     return {"value": target} if isinstance(target, str | int | float) else target
 
 
-def _in_unit_of(dimension: str) -> AfterValidator:
-    """Validator of a text that is a quantity of a dimension; it stays text."""
-    return _understood(lambda text: parse_quantity(text, dimension))
+def _in_unit_of(dimension: str) -> BeforeValidator:
+    """Validator of a text that is a positive quantity of a dimension; it stays text."""
+
+    def check(value: object) -> object:
+        try:
+            size = parse_quantity(value, dimension) if isinstance(value, str) else 0.0
+        except UnitError as error:
+            raise ValueError(str(error)) from error
+        if not size > 0.0:
+            example = dimension_of(dimension).quantity
+            raise ValueError(f"expected a positive number with its unit such as {example!r}")
+        return value
+
+    return BeforeValidator(check)
 
 
 QuantityName = Annotated[str, BeforeValidator(_quantity_name)]
@@ -583,19 +596,21 @@ class DesignTable(TomlTable):
     lambda_spec: FactorRange = FactorRange()
     """of the specification's tolerance on a device, likewise"""
 
-    @model_validator(mode="after")
-    def _units_of_targets(self) -> Self:
-        for name, target in self.target.items():
+    @field_validator("target")
+    @classmethod
+    def _check_target(cls, targets: dict[str, Target]) -> dict[str, Target]:
+        for name, target in targets.items():
             unit = cycles.properties_called(name)[0].unit
             if isinstance(target.value, float) != (unit == "1"):
-                raise ValueError(f"target.{name} needs a {'number' if unit == '1' else 'unit'}")
+                needed = "is a plain number" if unit == "1" else f"needs a unit such as {unit!r}"
+                raise ValueError(f"{name} {needed}")
             try:
                 value = target.internal(unit)
             except UnitError as error:
-                raise ValueError(f"target.{name}: {error}") from error
+                raise ValueError(f"{name}: {error}") from error
             if not 0.0 < value < 1e6:
-                raise ValueError(f"target.{name} must be positive, got {target.value!r}")
-        return self
+                raise ValueError(f"{name} must be positive")
+        return targets
 
     def target_of(self, item: cycles.DeviceProperty) -> Target | None:
         """Target of a property: its own, else that of its quantity."""

@@ -133,6 +133,13 @@ def given(table, key, value):
     return f"[{table}]\n{key} = {value}\n{TEST}"
 
 
+STANDARD = 'standard = "asce7-22"'
+
+
+def design(text, tests=TEST):
+    return f"[design]\n{text}\n{tests}"
+
+
 def instruments(force_a, force_b):
     """Two tests, each with what is said of the force beside its name."""
     entry = TEST + 'columns.force = { name = "force_kip", '
@@ -191,6 +198,29 @@ REFUSED = [
         instruments('arm = "4 in", arm_uncertainty = 0.01', 'arm = "4 in", arm_uncertainty = 0.02'),
         "must be 0.01, that of test 'p500_f0.05', which has the same arm, '4 in'",
     ),
+    (design('standard = "asce7-23"'), "there is no standard 'asce7-23'; expected asce7-16, asce7"),
+    (design('standard = "ours.toml"'), "there is no file 'ours.toml' in the folder"),
+    (design('T1 = "1 s"'), "design.standard is missing"),
+    *(
+        (design(f"{STANDARD}\nT1 = {value}"), "'10 s'")
+        for value in ("1.3", '"1.3"', '"-1 s"', '"0 s"')
+    ),
+    (design(f'{STANDARD}\nT1 = "1.3 in"'), "time needs a time such as"),
+    (design(f'{STANDARD}\nmce = "-2 in"'), "expected a positive number with its unit"),
+    (design(f"{STANDARD}\nlambda_spec = {{ max = 0.9 }}"), "design.lambda_spec.max"),
+    (design(f"{STANDARD}\nlambda_ae = {{ min = 1.1 }}"), "less than or equal to 1"),
+    (design(f'{STANDARD}\ntarget = {{ slip = "2 kip" }}'), "did you mean 'slip_force'?"),
+    (design(f'{STANDARD}\ntarget = {{ slip_force = "2 in" }}'), "cannot be given in 'kip'"),
+    (design(f"{STANDARD}\ntarget = {{ slip_force = 2 }}"), "slip_force needs a unit such as"),
+    (design(f'{STANDARD}\ntarget = {{ effective_damping = "5 kip" }}'), "is a plain number"),
+    (
+        design(
+            f'{STANDARD}\ntarget = {{ energy = "2 kip*in" }}',
+            TEST + TEST.replace("p500", "p900").replace("500 psi", "900 psi"),
+        ),
+        "design.actuation is missing",
+    ),
+    (design(f'{STANDARD}\nactuation = "10 lbf"'), "must be a pressure, as in the tests"),
     (parts("0 s to 5 s", None), "all of the file after 0 s to 5 s"),
     (parts("0 s to 5 s", "4 s to 9 s"), "4 s to 9 s after 0 s to 5 s"),
 ]
