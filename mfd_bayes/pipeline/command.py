@@ -173,7 +173,8 @@ def run_check(options: CheckOptions) -> None:
     assessment, system = check(options.out, options.units, trust_model=options.trust_model)
     if not options.quiet:
         _print_checks(assessment, system, every=options.every)
-    _print_sentences(assessment, system)
+    for sentence in assessment.sentences:
+        say(sentence.to_text(system))
     if assessment.unusable:
         raise typer.Exit(1)
 
@@ -402,9 +403,3 @@ def _print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
     more = f"{len(missed) - room} more, and " if len(missed) > room else ""
     say(f"{more}every check: {shlex.join(['mfd-bayes', 'check', str(out)])}")
     say(f"look next at {out / 'report.html'}")
-
-
-def _print_sentences(assessment: Assessment, system: UnitSystem) -> None:
-    """Print the verdict on a run, a line for each of its sentences."""
-    for sentence in assessment.sentences:
-        say(sentence.to_text(system))

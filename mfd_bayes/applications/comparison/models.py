@@ -204,25 +204,18 @@ def validate(test: TestResult, effort: Effort) -> Validation:
         r_hat is not None and r_hat <= effort.r_hat and min(bulk or 0, tail or 0) >= effort.ess
         for r_hat, bulk, tail in figures
     )
+    model, gap = posterior.model, posterior.model.gap(values)
+    names = [name for name in (*model.slip_forces, "k3") if name in values]
+    columns = {name: values[name] for name in names} | ({} if gap is None else {"gap": gap})
+    unit_of = {"gap": "in"} | units(model)
     return Validation(
         cycles.assign(test=test.id),
         squares=float(missed @ missed),
         spread=float(observed.size * observed.var()),
         short=() if converged else (test.id,),
         evidence=test.log_evidence(),
-        estimates=_estimates(posterior, values),
+        estimates={name: (unit_of[name], ends) for name, ends in intervals_of(columns).items()},
     )
-
-
-def _estimates(
-    posterior: Posterior, values: Mapping[str, Array]
-) -> dict[str, tuple[str, Interval]]:
-    """Unit and interval of slip forces, stiffness of the build-up, and gap, where they are."""
-    model, gap = posterior.model, posterior.model.gap(values)
-    names = [name for name in (*model.slip_forces, "k3") if name in values]
-    columns = {name: values[name] for name in names} | ({} if gap is None else {"gap": gap})
-    unit_of = {"gap": "in"} | units(model)
-    return {name: (unit_of[name], bounds) for name, bounds in intervals_of(columns).items()}
 
 
 def _rows(subject: str, scores: Mapping[str, Validation]) -> list[ComparisonRow]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -76,7 +75,11 @@ def run_predict(options: PredictOptions) -> None:
             warning = "warning: " if answer.disagrees else ""
             say(f"{warning}{answer.judged}", err=answer.disagrees)
     if options.explain and band.variance_shares:
-        _print_shares(band.variance_shares, quiet=options.quiet)
+        if not options.quiet:
+            ordered = sorted(band.variance_shares.items(), key=lambda item: -item[1])
+            rows = [(name, f"{100 * share:.0f} %") for name, share in ordered]
+            print_rows("What makes the band wide", ("source", "share of the variance"), rows)
+        say(width_sentence(band.variance_shares))
     if answer.design:
         _print_design(answer.design, band.probability)
     if not options.quiet:
@@ -330,12 +333,3 @@ def _print_design(rows: Rows, probability: float) -> None:
         caption=f"Each bound is exceeded with a probability of {tail:g} %; λ: bound over nominal "
         f"value. {notes}",
     )
-
-
-def _print_shares(shares: Mapping[str, float], *, quiet: bool = False) -> None:
-    """Print what makes a band wide, and what can be done about it; quiet: only the latter."""
-    if not quiet:
-        ordered = sorted(shares.items(), key=lambda item: -item[1])
-        rows = [(name, f"{100 * share:.0f} %") for name, share in ordered]
-        print_rows("What makes the band wide", ("source", "share of the variance"), rows)
-    say(width_sentence(shares))
