@@ -287,8 +287,8 @@ class PredictiveCheck:
     observed: float
     expected: float
     p_value: float
-    kind: str = ""
-    size: float = float("nan")
+    kind: str
+    size: float
 
 
 def replicate(

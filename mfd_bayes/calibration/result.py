@@ -242,9 +242,7 @@ class TestResult:
         return self.posterior.trace
 
 
-def load_result(
-    test_id: str, path: Path, priors: PriorFile, model: Model | None = None
-) -> TestResult:
+def load_result(test_id: str, path: Path, priors: PriorFile, model: Model | None) -> TestResult:
     """Calibrated test of its stored posterior; `model` is that of its run."""
     stored = load_test(path)
     facts, draws = stored.facts, stored.values()

@@ -47,7 +47,7 @@ from mfd_bayes.records.record import (
 )
 from mfd_bayes.records.table import header_unit
 from mfd_bayes.store.files import TomlError, faults_text, nearest, read_toml
-from mfd_bayes.units import DAMPER, ActuationUnit, Axes, actuation_factor, actuation_kind, measure
+from mfd_bayes.units import ActuationUnit, Axes, actuation_factor, actuation_kind, measure
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +62,9 @@ class Test:
     window: Window | None  # the part of the record that is fitted, s
     role: Role
     columns: dict[str, Source]  # by role, of those that the campaign file gives
-    session: str = ""
-    after: str = ""
-    axes: Axes = DAMPER
+    session: str
+    after: str
+    axes: Axes
 
     def read(self) -> Record:
         """Record of this test; raises as `read_record` does."""
@@ -362,7 +362,7 @@ class GoalSettings(NamedTuple):
 
 
 def goal_settings(
-    table: GoalTable | None, unit: ActuationUnit, path: Path, laws: Sequence[str] = ()
+    table: GoalTable | None, unit: ActuationUnit, path: Path, laws: Sequence[str]
 ) -> GoalSettings:
     """What the table `[goal]` of a campaign file says; the default without one.
 

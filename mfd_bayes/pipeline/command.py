@@ -265,7 +265,7 @@ def _print_plan(plan: Plan) -> None:
     _print_warnings(plan.manifest.warnings, plan.system)
 
 
-def _print_truth(view: CampaignView, *, quiet: bool = False) -> None:
+def _print_truth(view: CampaignView, *, quiet: bool) -> None:
     """Print the true values of a synthetic campaign beside its posterior; quiet: only a summary."""
     heads = ("test", "quantity", "unit", "truth", "2.5 %", "50 %", "97.5 %", "inside", "data")
     rows = [
@@ -288,7 +288,7 @@ def _print_truth(view: CampaignView, *, quiet: bool = False) -> None:
     )
 
 
-def _print_comparison(comparison: Comparison, *, quiet: bool = False) -> None:
+def _print_comparison(comparison: Comparison, *, quiet: bool) -> None:
     """Print how well each model predicts, and which one is favoured; quiet: only the latter."""
     heads = ("model", "cycles", "elpd ± se", "p_loo", "worst k", "k > 0.7", "difference ± se")
     rows = [
@@ -307,7 +307,7 @@ def _print_comparison(comparison: Comparison, *, quiet: bool = False) -> None:
     say(comparison.sentence)
 
 
-def _print_left_out(view: CampaignView, *, quiet: bool = False) -> None:
+def _print_left_out(view: CampaignView, *, quiet: bool) -> None:
     """Print how well each part left out was predicted, if it was; quiet: a summary."""
     scores, by = view.left_out, view.system.factor("kip")
     if scores is None:
@@ -383,7 +383,7 @@ def _expected(system: UnitSystem, check: Check) -> str:
     return f"{limit} ({check.tolerance:.0%})" if math.isfinite(check.tolerance) else limit
 
 
-def _print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
+def _print_end(view: CampaignView, out: Path, *, quiet: bool) -> None:
     """Print the verdict of a run, what misses, and where to look; quiet: the verdict alone.
 
     These are at most `LINES` lines of at most `WIDTH` columns; `mfd-bayes check` has the rest.

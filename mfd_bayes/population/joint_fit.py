@@ -23,7 +23,7 @@ of the tests are taken (Laplace).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,9 +90,9 @@ class TestLikelihood:
 
     posterior: Posterior  # of the test, with independent noise
     coordinates: Coordinates  # of the D quantities
-    relative: Array | None = None  # (T,), actuation over its mean, where it changes
+    relative: Array | None  # (T,), actuation over its mean, where it changes
     # what follows it then: whose law, and its share and exponent where the test has none to itself
-    laws: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
+    laws: Mapping[str, tuple[str, float, float]]
     discrepancy: Array | float = 0.0  # (T,), δ along the record, kip
     shape: Array | float = 1.0  # (T,), g
     information: float = 1.0  # share of independent samples
@@ -161,7 +161,7 @@ def fit_jointly(
     tests: Sequence[TestLikelihood],
     start: Array,
     common: NDArray[np.bool_],
-    evaluate: Evaluate[Array, Array] | None = None,
+    evaluate: Evaluate[Array, Array] | None,
 ) -> JointFit:
     """Fit of all tests together."""
     fit = _Fit(tests, start, common, evaluate)

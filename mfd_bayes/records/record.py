@@ -463,7 +463,7 @@ def sources_of(
     columns: Mapping[str, str | int | Source] | None,
     units: Mapping[str, str] | None,
     actuation: str | None,
-    axes: Axes = DAMPER,
+    axes: Axes,
 ) -> dict[str, Source]:
     """Role to its source, as given or from headers such as ``time_s``, with its column and unit.
 
@@ -522,7 +522,7 @@ def _no_column_for(role: str, table: Table, axes: Axes) -> RecordError:
 
 
 def signals_of(
-    table: Table, sources: Mapping[str, Source], axes: Axes = DAMPER
+    table: Table, sources: Mapping[str, Source], axes: Axes
 ) -> tuple[dict[str, Array], dict[str, tuple[str, str]], ActuationUnit | None]:
     """Role to signal, internal units, and to name and unit; unit of a measured actuation."""
     raw = table.columns(used_columns(table, sources), sources["time"].dates)

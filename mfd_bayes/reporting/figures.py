@@ -376,7 +376,7 @@ def _draw_loop(
     fans: Sequence[QuantileBand],
     abscissa: Array,
     turns: NDArray[np.intp],
-    force: Array | None = None,
+    force: Array | None,
 ) -> None:
     """Draw a force, or else the first fan's median, over bands against any abscissa, (T,).
 

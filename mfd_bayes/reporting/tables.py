@@ -532,9 +532,7 @@ def to_excel(frames: Mapping[str, pd.DataFrame]) -> bytes:
     return stream.getvalue()
 
 
-def to_word(
-    title: str, sheets: Iterable[Sheet], symbols: Symbols, system: UnitSystem = US
-) -> bytes:
+def to_word(title: str, sheets: Iterable[Sheet], symbols: Symbols, system: UnitSystem) -> bytes:
     """A Word document (.docx) in the units of a system; each part of a sheet begins a page."""
     from docx import Document
     from docx.shared import Pt
@@ -614,7 +612,7 @@ def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
         yield table_of("truth"), to_csv(frame_of("truth", view.truth, system))
 
 
-def record_table(test: TestView, system: UnitSystem = US) -> str:
+def record_table(test: TestView, system: UnitSystem) -> str:
     """The table behind the loops, history and residuals of one test, in the units of a system."""
     record = _record(test)
     if test.trace.force is not None:

@@ -209,7 +209,7 @@ def hash_stored(folder: Path, names: Iterable[str]) -> dict[str, str]:
     return {name: hash_file(folder / name) for name in names if (folder / name).is_file()}
 
 
-def check_apart(folder: Path, inputs: Iterable[Path], *, force: bool, resume: bool = False) -> None:
+def check_apart(folder: Path, inputs: Iterable[Path], *, force: bool, resume: bool) -> None:
     """Refuse a run that would remove or replace one of its inputs: campaign, priors, records.
 
     With `force`, what an earlier run wrote will be removed; with `resume`, what it wrote of a test.

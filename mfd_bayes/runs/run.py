@@ -129,7 +129,7 @@ def open_run(folder: str | Path, *, trust: bool = False) -> Run:
     return Run(folder, manifest, priors, tests, traces, backend, trust=trust)
 
 
-def model_of(folder: Path, manifest: Manifest, *, trust: bool = False) -> Model:
+def model_of(folder: Path, manifest: Manifest, *, trust: bool) -> Model:
     """Model of a run; of a user's own, the run folder's copy of its file is run.
 
     A file that no calibration of this user has run is refused, but for `trust`.
@@ -563,12 +563,12 @@ def rewrite_manifest(run: Run, **updates: Any) -> Run:
     return replace(run, manifest=manifest)
 
 
-def actuation_level(run: Run, text: str, *, of: str = "--actuation") -> float:
+def actuation_level(run: Run, text: str) -> float:
     """Level of an actuation such as "1000 psi", in `actuation_unit`, as the tests had it."""
-    level, unit = parse_actuation(text, of=of)
+    level, unit = parse_actuation(text, of="--actuation")
     if unit != run.actuation_unit:
         kind = actuation_kind(run.actuation_unit)
-        raise CampaignError(f"{of} {text!r} must be {kind}, as in the campaign")
+        raise CampaignError(f"--actuation {text!r} must be {kind}, as in the campaign")
     return level
 
 

@@ -59,11 +59,11 @@ class ModelChoice:
     """A model and a noise to compare, None for the campaign's own, in a run folder `name`."""
 
     name: str
-    model: str | None = None
-    noise: str | None = None
+    model: str | None
+    noise: str | None
 
 
-def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[ModelChoice, ...]:
+def candidates(names: Sequence[str], noises: Sequence[str]) -> tuple[ModelChoice, ...]:
     """Every model with every noise; without noises two or more models with the campaign's own."""
     files = [name for name in dict.fromkeys(names) if models.file_of(name)]
     # a model in a file has the folder of its class
@@ -148,7 +148,7 @@ def compare_runs(runs: Mapping[str, Run]) -> Comparison:
 
 
 def comparison_of(
-    scores: Mapping[str, Mapping[str, Validation]], lost: Sequence[str] = ()
+    scores: Mapping[str, Mapping[str, Validation]], lost: Sequence[str]
 ) -> Comparison:
     """Comparison of the figures of the same tests by model; `lost` tests are named."""
     tests = list(next(iter(scores.values())))

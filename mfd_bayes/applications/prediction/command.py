@@ -48,10 +48,10 @@ class Answer:
     band: Band
     derived: Rows
     system: UnitSystem
-    compared: Compared | None = None
-    design: Rows = ()
-    judged: str = ""
-    disagrees: bool = False
+    compared: Compared | None
+    design: Rows
+    judged: str
+    disagrees: bool
 
     @property
     def name(self) -> str:

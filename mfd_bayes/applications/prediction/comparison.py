@@ -49,7 +49,7 @@ class Compared:
     crps: float
     kind: str  # of the band
     probability: float
-    given: bool = False  # whether a first part of the record was given
+    given: bool  # whether a first part of the record was given
 
     def sentence(self, system: UnitSystem) -> str:
         """Coverage and error in words; whether the band holds what a load cell adds."""
