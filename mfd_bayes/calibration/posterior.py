@@ -15,8 +15,9 @@ from mfd_bayes.calibration.priors import Array, Prior, PriorFile, load_priors, p
 from mfd_bayes.errors import FitError, whole_number
 from mfd_bayes.friction.model import BESIDE, Model, columns_in_order, named_columns, named_vectors
 from mfd_bayes.friction.models import find_model
+from mfd_bayes.messages import counted
 from mfd_bayes.records.trace import Trace, check_trace
-from mfd_bayes.store.cards import card, counted
+from mfd_bayes.store.cards import card
 
 # --- posterior ------------------------------------------------------------------------------------
 

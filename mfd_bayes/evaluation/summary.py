@@ -70,7 +70,7 @@ from mfd_bayes.evaluation.views import (
     TestView,
 )
 from mfd_bayes.jobs.local import several_processes
-from mfd_bayes.messages import Message, join
+from mfd_bayes.messages import Message, counted, join
 from mfd_bayes.population.bands import PredictionOptions
 from mfd_bayes.population.design import Design
 from mfd_bayes.population.peaks import SIDES
@@ -551,8 +551,7 @@ def verdict_sentences(
     sentences = []
     for lead, group in (("Something is wrong with", wrong), ("To be used with care:", careful)):
         if group:
-            tests = f"{len(judged)} test{'' if len(judged) == 1 else 's'}"
-            sentences.append(Message(f"{lead} {len(group)} of {tests}."))
+            sentences.append(Message(f"{lead} {len(group)} of {counted(len(judged), 'test')}."))
             for j in group[:MOST_NAMED]:
                 head = Message("{test}: ", {"test": j.subject})
                 sentences.append(join([head, join(j.reasons, "; "), Message(".")], ""))

@@ -13,6 +13,7 @@ import typer
 
 from mfd_bayes.console import clean, figures, print_rows, say
 from mfd_bayes.jobs.progress import show_progress
+from mfd_bayes.messages import counted
 from mfd_bayes.options import this_command
 from mfd_bayes.pipeline.options import (
     COMPARED,
@@ -256,7 +257,7 @@ def _print_warnings(warnings: Iterable[Finding], system: UnitSystem) -> None:
 def _print_plan(plan: Plan) -> None:
     """Print what a calibration would do, and the warnings about its records."""
     lengths = {task.id: task.trace.samples for task in plan.tasks}
-    tests = [f"{name} ({n} sample{'s' if n != 1 else ''})" for name, n in lengths.items()]
+    tests = [f"{name} ({counted(n, 'sample')})" for name, n in lengths.items()]
     say(f"{plan.campaign.path} is fine: would calibrate {', '.join(tests)}")
     say(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
     if order := plan.manifest.settings.order:

@@ -23,6 +23,7 @@ from mfd_bayes.errors import (
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import JobState
+from mfd_bayes.messages import counted
 from mfd_bayes.population.bands import THIS_TEST, Band, PredictionOptions, Predictor
 from mfd_bayes.population.conditioning import OnlinePredictor, predict_given
 from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
@@ -52,7 +53,7 @@ from mfd_bayes.runs.tested_range import (
     reach_of,
 )
 from mfd_bayes.runs.unit_system import UnitSystem, named_system
-from mfd_bayes.store.cards import counted, grid
+from mfd_bayes.store.cards import grid
 from mfd_bayes.store.netcdf import load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
 

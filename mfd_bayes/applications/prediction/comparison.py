@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +17,6 @@ from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.unit_system import UnitSystem
 from mfd_bayes.units import percent
-
-if TYPE_CHECKING:
-    pass
 
 OFTEN = 3.0
 """A band is said to miss a record that leaves it so many times as often as its probability says."""
