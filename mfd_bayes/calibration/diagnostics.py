@@ -442,8 +442,7 @@ def identify(
     flat = draws.reshape(len(names), -1).T
     size = np.min(np.nan_to_num([effective_size(coordinate) for coordinate in draws], nan=0.0))
     return Identifiability(
-        directions=find_directions(names, width, flat, float(size)),
-        pairs=find_pairs(names, flat),
+        directions=find_directions(names, width, flat, float(size)), pairs=find_pairs(names, flat)
     )
 
 

@@ -37,14 +37,7 @@ from mfd_bayes.friction import models
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import CONDITIONS, complete_laws, default_laws
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.record import (
-    NO_ACTUATION,
-    Record,
-    Source,
-    Window,
-    parse_window,
-    read_record,
-)
+from mfd_bayes.records.record import NO_ACTUATION, Record, Source, Window, parse_window, read_record
 from mfd_bayes.records.table import header_unit
 from mfd_bayes.store.files import TomlError, faults_text, nearest, read_toml
 from mfd_bayes.units import ActuationUnit, Axes, actuation_factor, actuation_kind, measure

@@ -210,11 +210,7 @@ def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entr
 
 
 def _task(
-    campaign: Campaign,
-    priors: PriorFile,
-    test: Test,
-    trace: Trace,
-    options: RunOptions,
+    campaign: Campaign, priors: PriorFile, test: Test, trace: Trace, options: RunOptions
 ) -> Task:
     """Job that calibrates a test, of whose prior some draws must give a usable force."""
     digest = hashlib.sha256(test.id.encode()).digest()

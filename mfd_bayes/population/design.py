@@ -197,10 +197,7 @@ class TestConditions:
 
 
 def setting_of(
-    trace: Trace,
-    session: str = "",
-    device: str = "",
-    conditions: Mapping[str, float] | None = None,
+    trace: Trace, session: str = "", device: str = "", conditions: Mapping[str, float] | None = None
 ) -> TestConditions:
     """Setting under which a trace was made, or is to be predicted."""
     check_trace("trace", trace, FitError)

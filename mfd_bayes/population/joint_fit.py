@@ -31,17 +31,8 @@ from scipy.linalg import block_diag
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.jobs.local import Evaluate, in_turn
-from mfd_bayes.population.design import (
-    Coordinates,
-    ratio,
-)
-from mfd_bayes.population.population import (
-    KNOTS,
-    Residual,
-    TravelBasis,
-    slip_force_of,
-    strokes_of,
-)
+from mfd_bayes.population.design import Coordinates, ratio
+from mfd_bayes.population.population import KNOTS, Residual, TravelBasis, slip_force_of, strokes_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -22,12 +22,7 @@ from mfd_bayes.records.loops import (
     stroke_estimates,
     zero_is_central,
 )
-from mfd_bayes.records.record import (
-    NO_ACTUATION,
-    ROLES,
-    Record,
-    crossing_times,
-)
+from mfd_bayes.records.record import NO_ACTUATION, ROLES, Record, crossing_times
 from mfd_bayes.records.table import header_unit, stated_unit
 from mfd_bayes.records.trace import (
     Array,
@@ -109,12 +104,7 @@ class Fault:
 
     @classmethod
     def of(
-        cls,
-        name: str,
-        template: str,
-        samples: Samples | None = None,
-        /,
-        **values: str | Value,
+        cls, name: str, template: str, samples: Samples | None = None, /, **values: str | Value
     ) -> Fault:
         """Fault whose message has these texts, and quantities as (value, internal unit)."""
         quantities = {

@@ -208,11 +208,7 @@ def decimate(values: Array, share: Fraction, start: int, end: int) -> Array:
 
 
 def default_rate(
-    time: Array,
-    displacement: Array,
-    turns: NDArray[np.intp],
-    gap: float,
-    record_rate: float,
+    time: Array, displacement: Array, turns: NDArray[np.intp], gap: float, record_rate: float
 ) -> float:
     """Lowest sampling rate, Hz, that resolves the crossing of a gap and the half-cycles.
 

@@ -180,10 +180,7 @@ def in_units(
 
 @style()
 def draw_loops(
-    title: str,
-    trace: Trace,
-    fans: Sequence[QuantileBand] = (),
-    system: UnitSystem = US,
+    title: str, trace: Trace, fans: Sequence[QuantileBand] = (), system: UnitSystem = US
 ) -> Figure:
     """Force against displacement and against velocity, over bands, the widest fan first."""
     trace, fans = in_units(system, trace, fans)
@@ -260,10 +257,7 @@ def draw_history(
 
 @style()
 def draw_overview(
-    title: str,
-    tests: Sequence[TestView],
-    system: UnitSystem = US,
-    actuation_unit: str = "ksi",
+    title: str, tests: Sequence[TestView], system: UnitSystem = US, actuation_unit: str = "ksi"
 ) -> Figure:
     """Loops of up to sixty tests over their bands: rows are frequencies, columns actuations.
 

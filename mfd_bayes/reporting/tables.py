@@ -319,12 +319,7 @@ def paper_sheets(view: CampaignView, symbols: Symbols) -> tuple[Sheet, Sheet]:
     )
 
 
-def _sheet(
-    title: str,
-    rows: Sequence[Row],
-    heads: Mapping[str, str],
-    symbols: Symbols,
-) -> Sheet:
+def _sheet(title: str, rows: Sequence[Row], heads: Mapping[str, str], symbols: Symbols) -> Sheet:
     """Sheet of posteriors: the median, and below it the interval.
 
     Where there is a joint posterior of all tests, it comes first.

@@ -18,13 +18,7 @@ from typing import Any
 
 from mfd_bayes.errors import StoreError, hash_file
 from mfd_bayes.jobs.signals import before_end
-from mfd_bayes.store.files import (
-    PART,
-    cannot_remove,
-    check_place,
-    is_part,
-    remove_file,
-)
+from mfd_bayes.store.files import PART, cannot_remove, check_place, is_part, remove_file
 
 MANIFEST = "manifest.json"
 CAMPAIGN = "campaign.toml"

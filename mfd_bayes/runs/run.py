@@ -13,13 +13,7 @@ import numpy as np
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.calibration.result import PlottingBackend, TestResult, load_result
-from mfd_bayes.errors import (
-    CampaignError,
-    FitError,
-    NotThereError,
-    StoreError,
-    path_of,
-)
+from mfd_bayes.errors import CampaignError, FitError, NotThereError, StoreError, path_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import JobState

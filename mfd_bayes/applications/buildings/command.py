@@ -127,8 +127,7 @@ def _write_view(
         levels, unit = swept
         each = [
             response_of(
-                building.at_level(level),
-                f"{system.words([level], unit, actuation=True)}, ",
+                building.at_level(level), f"{system.words([level], unit, actuation=True)}, "
             )
             for level in levels.tolist()
         ]

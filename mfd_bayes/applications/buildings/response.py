@@ -12,10 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import betaincinv
 
 from mfd_bayes.applications.buildings.building import Building, ResponseLimits
-from mfd_bayes.applications.buildings.dampers import (
-    BOUND,
-    Dampers,
-)
+from mfd_bayes.applications.buildings.dampers import BOUND, Dampers
 from mfd_bayes.errors import BuildingError, NotThereError, UnitError
 from mfd_bayes.units import GRAVITY, parse_actuation, percent
 

@@ -27,11 +27,7 @@ from mfd_bayes.calibration.proposal import Evidence, fit_mixture, join_evidence
 from mfd_bayes.calibration.result import Task, TestResult
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.friction import models
-from mfd_bayes.runs.manifest import (
-    ComparedEstimate,
-    Comparison,
-    ComparisonRow,
-)
+from mfd_bayes.runs.manifest import ComparedEstimate, Comparison, ComparisonRow
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
@@ -380,10 +376,7 @@ def psis_loo(log_likelihood: Array, efficiency: float = 1.0) -> tuple[float, flo
 
 
 def log_evidence(
-    density: Callable[[Array], Array],
-    draws: Array,
-    log_weights: Array,
-    rng: np.random.Generator,
+    density: Callable[[Array], Array], draws: Array, log_weights: Array, rng: np.random.Generator
 ) -> tuple[float, float]:
     """Log of the integral of a density, and the Pareto k of its importance weights.
 

@@ -322,10 +322,7 @@ def _print_design(rows: Rows, probability: float) -> None:
         "Mean and bounding properties",
         ("property", "of", "unit", "nominal", "lower", "upper", "λ min", "λ max"),
         [
-            (
-                *(r["name"], r["of"], r["unit"]),
-                *figures((r[key] for key in keys), 3),
-            )
+            (*(r["name"], r["of"], r["unit"]), *figures((r[key] for key in keys), 3))
             for r in rows
             if not r["note"]
         ],
