@@ -73,7 +73,7 @@ class Posterior:
         *,
         initial: str = "sample",
     ) -> None:
-        if check_trace("trace", trace, FitError).force is None:
+        if check_trace(trace, FitError).force is None:
             raise FitError("a posterior needs a trace with a measured force")
         force_model = find_model(model) if isinstance(model, str) else model
         if not isinstance(force_model, Model):

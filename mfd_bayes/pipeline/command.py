@@ -173,7 +173,18 @@ def run_check(options: CheckOptions) -> None:
 
     assessment, system = check(options.out, options.units, trust_model=options.trust_model)
     if not options.quiet:
-        _print_checks(assessment, system, every=options.every)
+        if options.every:
+            heads = ("test", "check", "feature", "observed", "expected", "status")
+            rows = [
+                (
+                    *(c.test, c.check, c.feature, _figure(system, c.observed, c.unit)),
+                    *(_expected(system, c), c.status),
+                )
+                for c in assessment.checks
+            ]
+            print_rows("Checks", heads, rows, folded=len(heads))
+        for line in _missed_lines(assessment, system):
+            say(line)
     for sentence in assessment.sentences:
         say(sentence.to_text(system))
     if assessment.unusable:
@@ -333,22 +344,6 @@ def _print_left_out(view: CampaignView, *, quiet: bool) -> None:
         title = f"Each test predicted without its {scores.by}, scores in {view.system.force}"
         print_rows(title, ["test", *parts, *heads, "RRSE"], rows[:-1], last=rows[-1])
     say(scores.sentence)
-
-
-def _print_checks(assessment: Assessment, system: UnitSystem, *, every: bool) -> None:
-    """Print what misses, one line each; or a table of every check before."""
-    if every:
-        heads = ("test", "check", "feature", "observed", "expected", "status")
-        rows = [
-            (
-                *(c.test, c.check, c.feature, _figure(system, c.observed, c.unit)),
-                *(_expected(system, c), c.status),
-            )
-            for c in assessment.checks
-        ]
-        print_rows("Checks", heads, rows, folded=len(heads))
-    for line in _missed_lines(assessment, system):
-        say(line)
 
 
 def _missed_lines(assessment: Assessment, system: UnitSystem) -> list[str]:

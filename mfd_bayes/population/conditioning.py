@@ -663,7 +663,7 @@ class OnlinePredictor:
         RecordError
             When a test that was planned without actuation shall have one.
         """
-        check_trace("trace", trace, FitError)
+        check_trace(trace, FitError)
         if self._rows.shape[1] < SAMPLES:
             raise FitError(
                 f"a band needs some samples: a forecaster averages them over {self._step:.3g} s, "

@@ -708,7 +708,7 @@ class Record:
         First of what comes before the trace, since a time in s, then of what comes after it; empty
         where all of the record is in it.
         """
-        check_trace("trace", trace, RecordError)
+        check_trace(trace, RecordError)
         if since != -math.inf:
             since = real_number("since, in s,", since, RecordError)
         if self.window is None:

@@ -265,7 +265,7 @@ def draw_overview(
     actuation and frequency.
     """
     panel_tests = tests[:PANELS]
-    places, rows, columns = _places(panel_tests, actuation_unit)
+    places, rows, columns = _places(panel_tests)
     figure = new_figure(max(2.5 * columns, 6.0), 2.2 * rows + 0.7)
     suffix = "" if len(tests) == len(panel_tests) else f" (first {PANELS} of {len(tests)} tests)"
     figure.suptitle(f"{plain(title)}{suffix}", x=0.01, ha="left")
@@ -286,7 +286,7 @@ def draw_overview(
     return figure
 
 
-def _places(tests: Sequence[TestView], unit: str) -> tuple[list[tuple[int, int]], int, int]:
+def _places(tests: Sequence[TestView]) -> tuple[list[tuple[int, int]], int, int]:
     """Row and column of each test, and the numbers of rows and columns."""
     levels, frequencies = [], []
     for test in tests:

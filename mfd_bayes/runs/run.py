@@ -222,7 +222,7 @@ class Run:
 
     def extrapolations(self, trace: Trace, test: str = "") -> tuple[Extrapolation, ...]:
         """Where a motion leaves what was tested, in all tests or in one calibrated test."""
-        check_trace("trace", trace, FitError)
+        check_trace(trace, FitError)
         unit = self.actuation_unit
         tested = self.tested
         if test:
@@ -380,7 +380,7 @@ class Run:
             When the trace has no actuation, an option is of another type or unknown, or the trace
             has no force in the given window.
         """
-        check_trace("trace", trace, FitError)
+        check_trace(trace, FitError)
         if not self.manifest.axes.actuated:
             trace = replace(trace, actuation=actuation_level(self, NO_ACTUATION))
         if condition_on is not None and (test or after):
