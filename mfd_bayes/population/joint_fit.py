@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.jobs.local import Evaluate, in_turn
+from mfd_bayes.jobs.local import Evaluate
 from mfd_bayes.population.design import Coordinates, ratio
 from mfd_bayes.population.population import KNOTS, Residual, TravelBasis, slip_force_of, strokes_of
 
@@ -152,7 +152,7 @@ def fit_jointly(
     tests: Sequence[TestLikelihood],
     start: Array,
     common: NDArray[np.bool_],
-    evaluate: Evaluate[Array, Array] | None,
+    evaluate: Evaluate[Array, Array],
 ) -> JointFit:
     """Fit of all tests together."""
     fit = _Fit(tests, start, common, evaluate)
@@ -176,10 +176,9 @@ class _Fit:
         tests: Sequence[TestLikelihood],
         start: Array,
         common: NDArray[np.bool_],
-        evaluate: Evaluate[Array, Array] | None,
+        evaluate: Evaluate[Array, Array],
     ) -> None:
-        self.tests, self.x = tests, start.copy()
-        self.evaluate = evaluate or in_turn([test.linearised for test in tests])
+        self.tests, self.x, self.evaluate = tests, start.copy(), evaluate
         self.k_sd = tests[0].coordinates.names.index("noise_sd")
         free_coordinates = ~common
         free_coordinates[self.k_sd] = False
