@@ -13,8 +13,6 @@ from scipy import special
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.quantities import Quantity
 
-# --- noises ---------------------------------------------------------------------------------------
-
 Array = NDArray[np.float64]
 Values = Mapping[str, Array]
 

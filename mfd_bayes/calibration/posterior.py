@@ -19,8 +19,6 @@ from mfd_bayes.messages import counted
 from mfd_bayes.records.trace import Trace, check_trace
 from mfd_bayes.store.cards import card
 
-# --- posterior ------------------------------------------------------------------------------------
-
 AT_ONCE = 1 << 24  # points times samples whose forces are computed at once: some 400 MB
 
 

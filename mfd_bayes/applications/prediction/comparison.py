@@ -28,9 +28,6 @@ so near to its turn for half as long."""
 _OF_MEASUREMENT = [n for n, p in PROPERTIES.items() if p.unit == "kip"]  # with offset and noise
 
 
-# --- a prediction and the force that was measured in the same motion
-
-
 @dataclass(frozen=True)
 class Compared:
     """A predicted band beside the force that was measured in the same motion."""

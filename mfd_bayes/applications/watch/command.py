@@ -20,8 +20,6 @@ from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import UnitSystem
 from mfd_bayes.units import parse_quantity
 
-# --- a test is watched while it runs
-
 POLL = 1.0  # seconds between two looks at the file
 SAMPLES = 64  # of the next cycle, of which the band is computed
 
