@@ -84,6 +84,11 @@ class _Internal:
         return words
 
 
+def counted(number: int, noun: str) -> str:
+    """Number with its noun: "1 test", "3 tests"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def join(messages: Iterable[Message], separator: str) -> Message:
     """Several sentences as one, with a separator between them."""
     templates, values = [], {}

@@ -29,7 +29,7 @@ from mfd_bayes.population.population import (
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.folder import hash_stored
 from mfd_bayes.store.files import write_json
-from mfd_bayes.store.netcdf import CalibratedTest, save_test, save_trace
+from mfd_bayes.store.netcdf import save_test, save_trace
 
 TIME = np.arange(60) * 0.05
 MOTION = np.sin(2 * np.pi * TIME)
@@ -118,7 +118,7 @@ def _write_posterior(path, posterior, rng):
     facts["convergence"] = {name: [1.0, 500.0, 500.0] for name in flat}
     values = {name: draws.reshape(2, 12) for name, draws in flat.items()}
     predictive = np.zeros((2, 1, 60))
-    save_test(path, CalibratedTest(values, units(), stats, posterior.trace, predictive, facts))
+    save_test(path, values, units(), stats, posterior.trace, predictive, facts)
 
 
 def _write_population(path, priors, names, settings, rng):

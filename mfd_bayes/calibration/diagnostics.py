@@ -287,8 +287,8 @@ class PredictiveCheck:
     observed: float
     expected: float
     p_value: float
-    kind: str = ""
-    size: float = float("nan")
+    kind: str
+    size: float
 
 
 def replicate(
@@ -442,8 +442,7 @@ def identify(
     flat = draws.reshape(len(names), -1).T
     size = np.min(np.nan_to_num([effective_size(coordinate) for coordinate in draws], nan=0.0))
     return Identifiability(
-        directions=find_directions(names, width, flat, float(size)),
-        pairs=find_pairs(names, flat),
+        directions=find_directions(names, width, flat, float(size)), pairs=find_pairs(names, flat)
     )
 
 

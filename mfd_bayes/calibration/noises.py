@@ -13,8 +13,6 @@ from scipy import special
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.quantities import Quantity
 
-# --- noises ---------------------------------------------------------------------------------------
-
 Array = NDArray[np.float64]
 Values = Mapping[str, Array]
 
@@ -22,11 +20,7 @@ LOG_2PI = float(np.log(2 * np.pi))
 SD = Quantity("noise_sd", "force", "s", "standard deviation of the noise")
 TIME = Quantity("noise_time", "time", r"\tau_c", "correlation time of the noise")
 DOF = Quantity(
-    "noise_dof",
-    "dimensionless",
-    r"\nu",
-    "degrees of freedom of the noise",
-    pooled=False,
+    "noise_dof", "dimensionless", r"\nu", "degrees of freedom of the noise", pooled=False
 )
 BUILD = Quantity("noise_build", "force", "s_b", "added noise where the force builds up")
 FADE = Quantity("noise_fade", "displacement", r"\lambda", "slip over which the added noise fades")
@@ -66,11 +60,7 @@ class Noise:
         return np.asarray(total - time.size * np.log(scale).mean(axis=1))
 
     def draw(
-        self,
-        rng: np.random.Generator,
-        time: Array,
-        values: Values,
-        travel: Array | None = None,
+        self, rng: np.random.Generator, time: Array, values: Values, travel: Array | None = None
     ) -> Array:
         """Noise records, one for each of the n values, (n, T), kip; see `log_density`."""
         noise = self._innovations(rng, (time.size, values["noise_sd"].size), values)

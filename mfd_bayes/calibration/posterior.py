@@ -15,10 +15,9 @@ from mfd_bayes.calibration.priors import Array, Prior, PriorFile, load_priors, p
 from mfd_bayes.errors import FitError, whole_number
 from mfd_bayes.friction.model import BESIDE, Model, columns_in_order, named_columns, named_vectors
 from mfd_bayes.friction.models import find_model
+from mfd_bayes.messages import counted
 from mfd_bayes.records.trace import Trace, check_trace
-from mfd_bayes.store.cards import card, counted
-
-# --- posterior ------------------------------------------------------------------------------------
+from mfd_bayes.store.cards import card
 
 AT_ONCE = 1 << 24  # points times samples whose forces are computed at once: some 400 MB
 
@@ -72,7 +71,7 @@ class Posterior:
         *,
         initial: str = "sample",
     ) -> None:
-        if check_trace("trace", trace, FitError).force is None:
+        if check_trace(trace, FitError).force is None:
             raise FitError("a posterior needs a trace with a measured force")
         force_model = find_model(model) if isinstance(model, str) else model
         if not isinstance(force_model, Model):

@@ -225,13 +225,7 @@ class Prior:
 
 # what a record has, whatever the model and the noise
 OF_RECORDS = (
-    Quantity(
-        "start",
-        "dimensionless",
-        "w_0",
-        "place in the gap at the first sample",
-        pooled=False,
-    ),
+    Quantity("start", "dimensionless", "w_0", "place in the gap at the first sample", pooled=False),
     Quantity("offset", "force", "F_0", "offset of the load cell", lower=-np.inf),
 )
 

@@ -135,11 +135,7 @@ def maximize(density: Density, begin: Array, sd: Array) -> Mode:
         return float(centre), (higher - lower) / (2 * step)
 
     fit = minimize(
-        loss,
-        np.zeros(dim),
-        jac=True,
-        method="BFGS",
-        options={"maxiter": 150, "gtol": 1e-2},
+        loss, np.zeros(dim), jac=True, method="BFGS", options={"maxiter": 150, "gtol": 1e-2}
     )
     q = begin + sd * fit.x
     return Mode(q, float(density(q[None])[0]), laplace_covariance(density, q, sd))

@@ -27,7 +27,7 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import JobState, Outcome, Progress, Step
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.cards import grid
-from mfd_bayes.store.netcdf import CalibratedTest, StoredTest, load_test, save_test
+from mfd_bayes.store.netcdf import StoredTest, load_test, save_test
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -90,7 +90,7 @@ class Task:
                 self.seed,
                 report=lambda progress: observe(Step(self.id, "sampling", progress)),
             )
-            save_test(folder / self.file, _stored_of(self, posterior, draws))
+            _store(folder / self.file, self, posterior, draws)
         except StoreError:
             raise
         except MfdError as error:
@@ -105,8 +105,8 @@ class Task:
 # --- what is stored of a test, and read again
 
 
-def _stored_of(task: Task, posterior: Posterior, draws: Draws) -> CalibratedTest:
-    """Draws of all quantities, the model's parameters first, with replicated records."""
+def _store(path: Path, task: Task, posterior: Posterior, draws: Draws) -> None:
+    """Store draws of all quantities, the model's parameters first, with replicated records."""
     values = {name: draws.theta[..., k] for k, name in enumerate(posterior.model.parameters)}
     values |= {name: draws.values[name] for name in draws.values if name not in values}
     flat = {name: value.reshape(-1) for name, value in values.items()}
@@ -141,7 +141,8 @@ def _stored_of(task: Task, posterior: Posterior, draws: Draws) -> CalibratedTest
         "first": posterior.first,
         "convergence": convergence,
     }
-    return CalibratedTest(
+    save_test(
+        path,
         values=values,
         units=units(posterior.model),
         stats={
@@ -242,17 +243,14 @@ class TestResult:
         return self.posterior.trace
 
 
-def load_result(
-    test_id: str, path: Path, priors: PriorFile, model: Model | None = None
-) -> TestResult:
+def load_result(test_id: str, path: Path, priors: PriorFile, model: Model) -> TestResult:
     """Calibrated test of its stored posterior; `model` is that of its run."""
     stored = load_test(path)
     facts, draws = stored.facts, stored.values()
     try:
-        if model is not None and facts["model"] != model.name:
+        if facts["model"] != model.name:
             raise FitError(f"it is of the model {facts['model'][:60]!r}, not {model.name!r}")
-        kind = model or facts["model"]
-        posterior = Posterior(stored.trace, priors, facts["noise"], kind, initial=facts["initial"])
+        posterior = Posterior(stored.trace, priors, facts["noise"], model, initial=facts["initial"])
         if missing := {*posterior.names, *posterior.model.parameters, "offset"} - draws.keys():
             raise FitError(f"it holds no draws of {min(missing)}")
     except (MfdError, LookupError, TypeError) as error:

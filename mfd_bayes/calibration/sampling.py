@@ -42,7 +42,8 @@ from mfd_bayes.calibration.proposal import (
 )
 from mfd_bayes.errors import FitError, whole_number
 from mfd_bayes.jobs.job import Progress
-from mfd_bayes.store.cards import counted, grid
+from mfd_bayes.messages import counted
+from mfd_bayes.store.cards import grid
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -41,18 +41,10 @@ from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import CONDITIONS, complete_laws, default_laws
 from mfd_bayes.records.cycles import quantities
 from mfd_bayes.records.readers import read_table
-from mfd_bayes.records.record import (
-    NO_ACTUATION,
-    Record,
-    Source,
-    Window,
-    parse_window,
-    read_record,
-)
+from mfd_bayes.records.record import NO_ACTUATION, Record, Source, Window, parse_window, read_record
 from mfd_bayes.records.table import header_unit
 from mfd_bayes.store.files import TomlError, faults_text, nearest, read_toml
 from mfd_bayes.units import (
-    DAMPER,
     ActuationUnit,
     Axes,
     actuation_factor,
@@ -74,9 +66,9 @@ class Test:
     window: Window | None  # the part of the record that is fitted, s
     role: Role
     columns: dict[str, Source]  # by role, of those that the campaign file gives
-    session: str = ""
-    after: str = ""
-    axes: Axes = DAMPER
+    session: str
+    after: str
+    axes: Axes
 
     def read(self) -> Record:
         """Record of this test; raises as `read_record` does."""
@@ -420,7 +412,7 @@ class GoalSettings(NamedTuple):
 
 
 def goal_settings(
-    table: GoalTable | None, unit: ActuationUnit, path: Path, laws: Sequence[str] = ()
+    table: GoalTable | None, unit: ActuationUnit, path: Path, laws: Sequence[str]
 ) -> GoalSettings:
     """What the table `[goal]` of a campaign file says; the default without one.
 

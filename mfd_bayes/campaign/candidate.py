@@ -22,13 +22,7 @@ from mfd_bayes.population.design import (
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import MOST_CYCLES, Trace
 from mfd_bayes.store.files import nearest
-from mfd_bayes.units import (
-    ActuationUnit,
-    actuation_kind,
-    measure,
-    parse_actuation,
-    parse_quantity,
-)
+from mfd_bayes.units import ActuationUnit, actuation_kind, measure, parse_actuation, parse_quantity
 
 SETUP = 0.25  # time on the frame besides the motion itself, h
 NEW_DEVICE = "a new device"  # of a candidate

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def mistakes(resume: Callable[[], str] = str) -> Iterator[None]:
+def mistakes(resume: Callable[[], str]) -> Iterator[None]:
     """Turn errors that a user can cause into one sentence and exit code 2."""
 
     def hint() -> str:

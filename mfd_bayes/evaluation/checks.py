@@ -31,10 +31,7 @@ from mfd_bayes.evaluation.assessment import (
     SCATTER,
     Check,
 )
-from mfd_bayes.evaluation.properties import (
-    EXTREME,
-    share_above,
-)
+from mfd_bayes.evaluation.properties import EXTREME, share_above
 from mfd_bayes.evaluation.scores import Row, Rows
 from mfd_bayes.evaluation.views import INFORMED
 from mfd_bayes.messages import Measure, Message

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from mfd_bayes.campaign.schema import CampaignFile
 from mfd_bayes.evaluation.measurement import EXACT, Gains, gains_of
 from mfd_bayes.evaluation.scores import Rows, spread_of
 from mfd_bayes.friction.model import Model
+from mfd_bayes.messages import counted
 from mfd_bayes.population.bands import Band
 from mfd_bayes.population.peaks import NO_EXCESS, SIDES, Peaks, largest_speed
 from mfd_bayes.records.cycles import (
@@ -33,10 +34,6 @@ from mfd_bayes.runs.model_average import ModelAverage
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.tested_range import PARTIAL, partial_strokes
 from mfd_bayes.units import Axes
-
-if TYPE_CHECKING:
-    pass
-
 
 Array = NDArray[np.float64]
 
@@ -179,8 +176,11 @@ def property_rows(
         note = ""
         if quantity.of_cycle and not (quantity.estimate or quantity.extent == RECORD):
             extent, count = ("of smaller", ramps) if of_ramps else ("at full", strong)
-            cycles = f"{count} full cycle{'' if count == 1 else 's'}"
-            note = f"over {cycles} {extent} stroke" if count else "the motion has no full cycle"
+            note = (
+                f"over {counted(count, 'full cycle')} {extent} stroke"
+                if count
+                else "the motion has no full cycle"
+            )
         value = measured.get(name, float("nan"))
         rows.append(
             {"test": test, "role": role, "name": name, "unit": quantity.unit}

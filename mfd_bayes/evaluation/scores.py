@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,6 @@ from numpy.typing import NDArray
 from mfd_bayes.calibration.diagnostics import COVERAGES
 from mfd_bayes.population.bands import ADVICE, Band
 from mfd_bayes.runs.manifest import Score
-
-if TYPE_CHECKING:
-    pass
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

@@ -70,7 +70,7 @@ from mfd_bayes.evaluation.views import (
     TestView,
 )
 from mfd_bayes.jobs.local import several_processes
-from mfd_bayes.messages import Message, join
+from mfd_bayes.messages import Message, counted, join
 from mfd_bayes.population.bands import PredictionOptions
 from mfd_bayes.population.design import Design
 from mfd_bayes.population.peaks import SIDES
@@ -458,8 +458,8 @@ def _judge(test: str, checks: Sequence[Check], findings: Sequence[Finding]) -> J
         reasons.append((_SPOILS if finding.spoils else MILD, message))
     reasons += [*_of_sampler(checks), *_of_slip(checks)]
     spoiled = any(f.spoils for f in findings)
-    counted = bool(missed) and not spoiled
-    if counted:
+    fit_missed = bool(missed) and not spoiled
+    if fit_missed:
         reasons.append((misfit_of(missed[0]), _miss(missed)))
     failed = {c.check for c in checks if c.status == CheckStatus.FAIL}
     wrong = spoiled or bool(failed - set(SAMPLING))
@@ -469,7 +469,7 @@ def _judge(test: str, checks: Sequence[Check], findings: Sequence[Finding]) -> J
     reasons.sort(key=lambda reason: -reason[0])
     worst_misfit = max(map(misfit_of, of_fit), default=0.0)
     misfit = sum(size for size, _ in reasons) if reasons else min(worst_misfit, 1.0)
-    if reasons and not counted:  # else the worst misfit is one of the reasons
+    if reasons and not fit_missed:  # else the worst misfit is one of the reasons
         misfit += worst_misfit
     notes = tuple(_of_modes(c) for c in checks if c.check == MODES and c.status == CheckStatus.NOTE)
     return Judgement(test, use, tuple(message for _, message in reasons), misfit, wrong, notes)
@@ -551,8 +551,7 @@ def verdict_sentences(
     sentences = []
     for lead, group in (("Something is wrong with", wrong), ("To be used with care:", careful)):
         if group:
-            tests = f"{len(judged)} test{'' if len(judged) == 1 else 's'}"
-            sentences.append(Message(f"{lead} {len(group)} of {tests}."))
+            sentences.append(Message(f"{lead} {len(group)} of {counted(len(judged), 'test')}."))
             for j in group[:MOST_NAMED]:
                 head = Message("{test}: ", {"test": j.subject})
                 sentences.append(join([head, join(j.reasons, "; "), Message(".")], ""))

@@ -332,7 +332,7 @@ class Model:
         self, kind: str, theta: ArrayLike, trace: Trace, start: ArrayLike | None, scales: Scales
     ) -> Array:
         """The force, travel or end of every vector, (n, …)."""
-        check_trace("trace", trace, FitError)
+        check_trace(trace, FitError)
         if not (trace.timed or self.rate_independent):
             raise FitError(
                 f"the model {self.name} needs the time of each sample, and the trace has none"

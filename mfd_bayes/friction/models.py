@@ -133,17 +133,13 @@ def _made(cls: Any, label: str, source: str) -> Model:
         raise FitError(f"{label} needs a function force(self, theta, trace)")
     cls.source = source
     if ".py:" in source:
-        setattr(cls, "__reduce__", _reduced)  # noqa: B010  # another process reads the file again
+        # another process reads the file again
+        setattr(cls, "__reduce__", lambda model: (find_model, (model.source,)))  # noqa: B010
     try:
         return cls()
     except (Exception, SystemExit) as error:
         kind = type(error).__name__
         raise FitError(f"{label} cannot be made without arguments: {kind}: {error}") from error
-
-
-def _reduced(model: Model) -> tuple[Any, ...]:
-    """How a model of a file is made in another process."""
-    return find_model, (model.source,)
 
 
 def _line(error: BaseException, path: Path) -> str:

@@ -41,13 +41,7 @@ from mfd_bayes.runs.folder import (
     remove_partial_files,
     remove_stale,
 )
-from mfd_bayes.runs.manifest import (
-    Manifest,
-    Status,
-    Truth,
-    add_calibrated_model,
-    mark_pages,
-)
+from mfd_bayes.runs.manifest import Manifest, Status, Truth, add_calibrated_model, mark_pages
 from mfd_bayes.runs.resume import check_free, prepare_folder
 from mfd_bayes.runs.run import Run
 from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes

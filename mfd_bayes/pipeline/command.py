@@ -13,6 +13,7 @@ import typer
 
 from mfd_bayes.console import clean, figures, print_rows, say
 from mfd_bayes.jobs.progress import show_progress
+from mfd_bayes.messages import counted
 from mfd_bayes.options import this_command
 from mfd_bayes.pipeline.options import (
     COMPARED,
@@ -172,8 +173,20 @@ def run_check(options: CheckOptions) -> None:
 
     assessment, system = check(options.out, options.units, trust_model=options.trust_model)
     if not options.quiet:
-        _print_checks(assessment, system, every=options.every)
-    _print_sentences(assessment, system)
+        if options.every:
+            heads = ("test", "check", "feature", "observed", "expected", "status")
+            rows = [
+                (
+                    *(c.test, c.check, c.feature, _figure(system, c.observed, c.unit)),
+                    *(_expected(system, c), c.status),
+                )
+                for c in assessment.checks
+            ]
+            print_rows("Checks", heads, rows, folded=len(heads))
+        for line in _missed_lines(assessment, system):
+            say(line)
+    for sentence in assessment.sentences:
+        say(sentence.to_text(system))
     if assessment.unusable:
         raise typer.Exit(1)
 
@@ -255,7 +268,7 @@ def _print_warnings(warnings: Iterable[Finding], system: UnitSystem) -> None:
 def _print_plan(plan: Plan) -> None:
     """Print what a calibration would do, and the warnings about its records."""
     lengths = {task.id: task.trace.samples for task in plan.tasks}
-    tests = [f"{name} ({n} sample{'s' if n != 1 else ''})" for name, n in lengths.items()]
+    tests = [f"{name} ({counted(n, 'sample')})" for name, n in lengths.items()]
     say(f"{plan.campaign.path} is fine: would calibrate {', '.join(tests)}")
     say(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
     if order := plan.manifest.settings.order:
@@ -264,7 +277,7 @@ def _print_plan(plan: Plan) -> None:
     _print_warnings(plan.manifest.warnings, plan.system)
 
 
-def _print_truth(view: CampaignView, *, quiet: bool = False) -> None:
+def _print_truth(view: CampaignView, *, quiet: bool) -> None:
     """Print the true values of a synthetic campaign beside its posterior; quiet: only a summary."""
     heads = ("test", "quantity", "unit", "truth", "2.5 %", "50 %", "97.5 %", "inside", "data")
     rows = [
@@ -287,7 +300,7 @@ def _print_truth(view: CampaignView, *, quiet: bool = False) -> None:
     )
 
 
-def _print_comparison(comparison: Comparison, *, quiet: bool = False) -> None:
+def _print_comparison(comparison: Comparison, *, quiet: bool) -> None:
     """Print how well each model predicts, and which one is favoured; quiet: only the latter."""
     heads = ("model", "cycles", "elpd ± se", "p_loo", "worst k", "k > 0.7", "difference ± se")
     rows = [
@@ -306,7 +319,7 @@ def _print_comparison(comparison: Comparison, *, quiet: bool = False) -> None:
     say(comparison.sentence)
 
 
-def _print_left_out(view: CampaignView, *, quiet: bool = False) -> None:
+def _print_left_out(view: CampaignView, *, quiet: bool) -> None:
     """Print how well each part left out was predicted, if it was; quiet: a summary."""
     scores, by = view.left_out, view.system.factor("kip")
     if scores is None:
@@ -331,22 +344,6 @@ def _print_left_out(view: CampaignView, *, quiet: bool = False) -> None:
         title = f"Each test predicted without its {scores.by}, scores in {view.system.force}"
         print_rows(title, ["test", *parts, *heads, "RRSE"], rows[:-1], last=rows[-1])
     say(scores.sentence)
-
-
-def _print_checks(assessment: Assessment, system: UnitSystem, *, every: bool) -> None:
-    """Print what misses, one line each; or a table of every check before."""
-    if every:
-        heads = ("test", "check", "feature", "observed", "expected", "status")
-        rows = [
-            (
-                *(c.test, c.check, c.feature, _figure(system, c.observed, c.unit)),
-                *(_expected(system, c), c.status),
-            )
-            for c in assessment.checks
-        ]
-        print_rows("Checks", heads, rows, folded=len(heads))
-    for line in _missed_lines(assessment, system):
-        say(line)
 
 
 def _missed_lines(assessment: Assessment, system: UnitSystem) -> list[str]:
@@ -382,7 +379,7 @@ def _expected(system: UnitSystem, check: Check) -> str:
     return f"{limit} ({check.tolerance:.0%})" if math.isfinite(check.tolerance) else limit
 
 
-def _print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
+def _print_end(view: CampaignView, out: Path, *, quiet: bool) -> None:
     """Print the verdict of a run, what misses, and where to look; quiet: the verdict alone.
 
     These are at most `LINES` lines of at most `WIDTH` columns; `mfd-bayes check` has the rest.
@@ -402,9 +399,3 @@ def _print_end(view: CampaignView, out: Path, *, quiet: bool = False) -> None:
     more = f"{len(missed) - room} more, and " if len(missed) > room else ""
     say(f"{more}every check: {shlex.join(['mfd-bayes', 'check', str(out)])}")
     say(f"look next at {out / 'report.html'}")
-
-
-def _print_sentences(assessment: Assessment, system: UnitSystem) -> None:
-    """Print the verdict on a run, a line for each of its sentences."""
-    for sentence in assessment.sentences:
-        say(sentence.to_text(system))

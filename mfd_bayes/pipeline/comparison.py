@@ -29,15 +29,8 @@ from mfd_bayes.pipeline.plan import Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.design import setting_of
 from mfd_bayes.reporting.tables import comparison_csv
-from mfd_bayes.runs.folder import (
-    alone_in,
-    check_outputs,
-    remove_partial_files,
-)
-from mfd_bayes.runs.manifest import (
-    CampaignCrossValidation,
-    Comparison,
-)
+from mfd_bayes.runs.folder import alone_in, check_outputs, remove_partial_files
+from mfd_bayes.runs.manifest import CampaignCrossValidation, Comparison
 from mfd_bayes.runs.run import Run, rewrite_manifest
 from mfd_bayes.store.files import write_text
 
@@ -63,10 +56,7 @@ def check_parts(plan: Plan, by: str) -> Collection[str]:
     sessions = plan.manifest.settings.sessions
     settings = {task.id: setting_of(task.trace, sessions[task.id]) for task in plan.tasks}
     return parts_of(
-        settings,
-        part_kind(by),
-        plan.campaign.settings.actuation_unit,
-        plan.campaign.path,
+        settings, part_kind(by), plan.campaign.settings.actuation_unit, plan.campaign.path
     )
 
 

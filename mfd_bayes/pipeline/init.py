@@ -180,7 +180,7 @@ def init(folder: Path, model: str = "", *, force: bool = False) -> tuple[Path, D
     return path, draft, text is not None
 
 
-def init_priors(path: Path, model: str = "", *, force: bool = False) -> tuple[Path, bool]:
+def init_priors(path: Path, model: str, *, force: bool) -> tuple[Path, bool]:
     """Path of a prior file beside a campaign, its scales read off the campaign's records.
 
     It is for the campaign's model, or another one. Also returns whether the campaign names it
@@ -203,7 +203,7 @@ def init_priors(path: Path, model: str = "", *, force: bool = False) -> tuple[Pa
     return written, campaign.priors == WRITTEN
 
 
-def init_building(path: Path, *, force: bool = False) -> Path:
+def init_building(path: Path, *, force: bool) -> Path:
     """Write a first building file, and an artificial ground motion, ground.AT2, beside it.
 
     Its actuation is one of the campaign beside it, if there is any.

@@ -23,20 +23,7 @@ from mfd_bayes.options import (
     path,
     resumption,
 )
-from mfd_bayes.reporting.options import ReportOptions
-
-__all__ = [
-    "CalibrateOptions",
-    "CheckOptions",
-    "CompareOptions",
-    "CrossvalidateOptions",
-    "DemoOptions",
-    "InitOptions",
-    "InspectOptions",
-    "PriorCheckOptions",
-    "ReportOptions",
-    "RunOptions",
-]
+from mfd_bayes.reporting.options import ReportOptions as ReportOptions
 
 Campaign = Annotated[Path, Argument(parser=path, help="The campaign file, campaign.toml.")]
 NewRun = Annotated[Path, Option("-o", "--out", parser=path, help="The run folder to write.")]

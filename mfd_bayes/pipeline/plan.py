@@ -126,7 +126,7 @@ def plan_campaign(
         record = _read(campaign, test)
         trace = record.trace(campaign.rate, gap=gap)
         entries[test.id] = _entry(campaign, test, record, trace)
-        inputs[_inside(campaign, test)] = record.sha256
+        inputs[test.path.relative_to(campaign.folder).as_posix()] = record.sha256
         inspection, compared = inspect_test(campaign, test, record, gap)
         faults += [(test.id, fault) for fault in inspection.faults]
         tested += compared
@@ -159,11 +159,6 @@ def plan_campaign(
     manifest = with_keys(manifest, priors)
     check_readable(manifest)
     return Plan(campaign, options, priors, tuple(tasks), held_out, manifest)
-
-
-def _inside(campaign: Campaign, test: Test) -> str:
-    """Path of a test's file relative to its campaign's folder, with slashes."""
-    return test.path.relative_to(campaign.folder).as_posix()
 
 
 def planned_design(tasks: Sequence[Task], settings: CampaignFile) -> Design:
@@ -216,11 +211,7 @@ def _entry(campaign: Campaign, test: Test, record: Record, trace: Trace) -> Entr
 
 
 def _task(
-    campaign: Campaign,
-    priors: PriorFile,
-    test: Test,
-    trace: Trace,
-    options: RunOptions,
+    campaign: Campaign, priors: PriorFile, test: Test, trace: Trace, options: RunOptions
 ) -> Task:
     """Job that calibrates a test, of whose prior some draws must give a usable force."""
     digest = hashlib.sha256(test.id.encode()).digest()

@@ -16,13 +16,8 @@ from mfd_bayes.jobs.local import get_ready
 from mfd_bayes.reporting.options import ReportOptions
 from mfd_bayes.reporting.page import Addition, check_forms
 from mfd_bayes.reporting.tables import CROSSVALIDATION
-from mfd_bayes.runs.folder import (
-    alone_in,
-    check_places,
-)
-from mfd_bayes.runs.manifest import (
-    read_manifest,
-)
+from mfd_bayes.runs.folder import alone_in, check_places
+from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.run import Run, open_run, rewrite_manifest
 from mfd_bayes.runs.unit_system import SI, named_system
 

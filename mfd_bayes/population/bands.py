@@ -226,9 +226,9 @@ def whole_band(draws: Array, probability: float) -> tuple[Array, Array]:
     return np.minimum(centre - reach * scale, lower), np.maximum(centre + reach * scale, upper)
 
 
-def holds_whole(draws: Array, observed: Array, probability: float = 0.95) -> bool:
+def holds_whole(draws: Array, observed: Array) -> bool:
     """Whether an observed curve (T,) is inside the band of whole curves of draws (n, T)."""
-    lower, upper = whole_band(draws, probability)
+    lower, upper = whole_band(draws, 0.95)
     return bool(np.all((observed >= lower) & (observed <= upper)))
 
 

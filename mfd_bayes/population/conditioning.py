@@ -60,7 +60,6 @@ QUIET = 0.25  # share of the slip force below which a device is taken to be in i
 SAMPLES = 3  # fewest samples of a given part, at the rate of the calibrated tests
 ALLOWED = ("new_test", "observation")  # kinds of bands of which a given part says something
 EITHER_WAY = (0.25, 4.0)  # actuations over the planned one, for deviations from the laws
-NARROWING = 0.02  # share by which one more cycle must narrow a property's interval
 FEWEST_CYCLES = 2  # the first cycle may begin from rest or in the gap
 ONE_SD = (0.15866, 0.5, 0.84134)  # shares of a normal distribution at one sd on both sides
 
@@ -73,7 +72,7 @@ class ConditioningSummary:
     samples: int  # at the rate of the calibrated tests
     pareto_k: float  # of the last importance weights
     effective: float  # effective number of draws behind the band
-    stages: int = 0  # how often the draws were resampled and moved
+    stages: int  # how often the draws were resampled and moved
 
     @property
     def method(self) -> str:
@@ -664,7 +663,7 @@ class OnlinePredictor:
         RecordError
             When a test that was planned without actuation shall have one.
         """
-        check_trace("trace", trace, FitError)
+        check_trace(trace, FitError)
         if self._rows.shape[1] < SAMPLES:
             raise FitError(
                 f"a band needs some samples: a forecaster averages them over {self._step:.3g} s, "
@@ -723,7 +722,7 @@ class Estimate:
     narrowing: float  # share by which one more cycle is expected to narrow the device's interval
 
 
-def is_enough(estimates: Mapping[str, Estimate], cycles: int, narrowing: float = NARROWING) -> bool:
+def is_enough(estimates: Mapping[str, Estimate], cycles: int, narrowing: float) -> bool:
     """Whether one more cycle would narrow no property by as much as `narrowing`."""
     largest = max((estimate.narrowing for estimate in estimates.values()), default=0.0)
     return cycles >= FEWEST_CYCLES and largest < narrowing

@@ -197,13 +197,10 @@ class TestConditions:
 
 
 def setting_of(
-    trace: Trace,
-    session: str = "",
-    device: str = "",
-    conditions: Mapping[str, float] | None = None,
+    trace: Trace, session: str = "", device: str = "", conditions: Mapping[str, float] | None = None
 ) -> TestConditions:
     """Setting under which a trace was made, or is to be predicted."""
-    check_trace("trace", trace, FitError)
+    check_trace(trace, FitError)
     if not np.isfinite(trace.reference_actuation):
         raise FitError("a prediction needs the trace's actuation, in ksi (pressure) or kip (force)")
     x = trace.displacement

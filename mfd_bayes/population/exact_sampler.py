@@ -63,9 +63,6 @@ COMPONENTS = 4  # of the mixture
 RANDOM_WALK = 0.6  # sd of the random walk of the coordinates of h
 
 
-# --- exact posterior ------------------------------------------------------------------------------
-
-
 class ChainState(NamedTuple):
     """All chains, n of them."""
 

@@ -15,12 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from mfd_bayes.calibration.diagnostics import (
-    Convergence,
-    Effort,
-    find_effort,
-    intervals_of,
-)
+from mfd_bayes.calibration.diagnostics import Convergence, Effort, find_effort, intervals_of
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import Prior, PriorFile
 from mfd_bayes.calibration.result import TestResult

@@ -23,25 +23,16 @@ of the tests are taken (Laplace).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from mfd_bayes.calibration.posterior import Posterior
-from mfd_bayes.jobs.local import Evaluate, in_turn
-from mfd_bayes.population.design import (
-    Coordinates,
-    ratio,
-)
-from mfd_bayes.population.population import (
-    KNOTS,
-    Residual,
-    TravelBasis,
-    slip_force_of,
-    strokes_of,
-)
+from mfd_bayes.jobs.local import Evaluate
+from mfd_bayes.population.design import Coordinates, ratio
+from mfd_bayes.population.population import KNOTS, Residual, TravelBasis, slip_force_of, strokes_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -90,9 +81,9 @@ class TestLikelihood:
 
     posterior: Posterior  # of the test, with independent noise
     coordinates: Coordinates  # of the D quantities
-    relative: Array | None = None  # (T,), actuation over its mean, where it changes
+    relative: Array | None  # (T,), actuation over its mean, where it changes
     # what follows it then: whose law, and its share and exponent where the test has none to itself
-    laws: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
+    laws: Mapping[str, tuple[str, float, float]]
     discrepancy: Array | float = 0.0  # (T,), δ along the record, kip
     shape: Array | float = 1.0  # (T,), g
     information: float = 1.0  # share of independent samples
@@ -161,7 +152,7 @@ def fit_jointly(
     tests: Sequence[TestLikelihood],
     start: Array,
     common: NDArray[np.bool_],
-    evaluate: Evaluate[Array, Array] | None = None,
+    evaluate: Evaluate[Array, Array],
 ) -> JointFit:
     """Fit of all tests together."""
     fit = _Fit(tests, start, common, evaluate)
@@ -185,10 +176,9 @@ class _Fit:
         tests: Sequence[TestLikelihood],
         start: Array,
         common: NDArray[np.bool_],
-        evaluate: Evaluate[Array, Array] | None,
+        evaluate: Evaluate[Array, Array],
     ) -> None:
-        self.tests, self.x = tests, start.copy()
-        self.evaluate = evaluate or in_turn([test.linearised for test in tests])
+        self.tests, self.x, self.evaluate = tests, start.copy(), evaluate
         self.k_sd = tests[0].coordinates.names.index("noise_sd")
         free_coordinates = ~common
         free_coordinates[self.k_sd] = False

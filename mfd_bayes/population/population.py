@@ -686,12 +686,7 @@ class Population:
         return columns | {"start": start}
 
     def scales(
-        self,
-        model: Model,
-        actuation: Array,
-        index: Index,
-        level: float,
-        effects: LevelEffects,
+        self, model: Model, actuation: Array, index: Index, level: float, effects: LevelEffects
     ) -> dict[str, Array]:
         """Factors along a history of actuation (T,) of what follows it, over a level, (n, T) each.
 

@@ -11,11 +11,7 @@ import numpy as np
 
 from mfd_bayes.records.cycles import features_of
 from mfd_bayes.records.data_quality import Fault
-from mfd_bayes.records.loops import (
-    asymmetry,
-    channels_swapped,
-    find_loops,
-)
+from mfd_bayes.records.loops import asymmetry, channels_swapped, find_loops
 from mfd_bayes.records.record import Record
 from mfd_bayes.records.trace import Array, Trace, without_spikes
 from mfd_bayes.units import actuation_factor, factor
@@ -53,10 +49,7 @@ ANY_FACTOR = np.array([s * a for a in np.arange(LEAST, np.log(3000.0), 0.1) for 
 WITHIN = 2.5  # sds of the laws within which an exchange must bring both tests
 CLEAR = 1.0  # log odds by which a mistake must be more probable than any in other tests
 WAYS = {"displacement": np.array([1.0, -1.0, 0.0]), "force": np.array([0.0, 1.0, 1.0])}
-UNITS = {
-    "displacement": ("in", "mm", "cm", "m"),
-    "force": ("kip", "lbf", "kN", "N", "MN", "kgf"),
-}
+UNITS = {"displacement": ("in", "mm", "cm", "m"), "force": ("kip", "lbf", "kN", "N", "MN", "kgf")}
 """Units that a column may be in instead of the one that it was read in."""
 
 

@@ -10,7 +10,7 @@ from itertools import chain, groupby, product
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.messages import Measure, Message
+from mfd_bayes.messages import Measure, Message, counted
 from mfd_bayes.records.cycles import FULL, PROPERTIES, MeasuredCycles, features_of, measured_cycles
 from mfd_bayes.records.loops import (
     FEWEST,
@@ -22,12 +22,7 @@ from mfd_bayes.records.loops import (
     stroke_estimates,
     zero_is_central,
 )
-from mfd_bayes.records.record import (
-    NO_ACTUATION,
-    ROLES,
-    Record,
-    crossing_times,
-)
+from mfd_bayes.records.record import NO_ACTUATION, ROLES, Record, crossing_times
 from mfd_bayes.records.table import header_unit, stated_unit
 from mfd_bayes.records.trace import (
     Array,
@@ -109,12 +104,7 @@ class Fault:
 
     @classmethod
     def of(
-        cls,
-        name: str,
-        template: str,
-        samples: Samples | None = None,
-        /,
-        **values: str | Value,
+        cls, name: str, template: str, samples: Samples | None = None, /, **values: str | Value
     ) -> Fault:
         """Fault whose message has these texts, and quantities as (value, internal unit)."""
         quantities = {
@@ -206,8 +196,8 @@ def dropped(trace: Trace) -> Iterator[Fault]:
     if long_steps.size:
         yield Fault.of(
             "dropped samples",
-            f"{_count(long_steps.size, 'step')} of time longer than {DROPPED:g} median ones (up to "
-            f"{steps[long_steps].max():.3g} s, median {median:.3g} s), the first at "
+            f"{counted(long_steps.size, 'step')} of time longer than {DROPPED:g} median ones (up "
+            f"to {steps[long_steps].max():.3g} s, median {median:.3g} s), the first at "
             f"{trace.time[long_steps[0]]:.4g} s: samples were dropped",
             long_steps + 1,
         )
@@ -450,7 +440,7 @@ def spikes(trace: Trace) -> Iterator[Fault]:
         if rows.size:
             yield Fault.of(
                 "spikes",
-                f"{_count(rows.size, 'isolated sample')} of the {name} "
+                f"{counted(rows.size, 'isolated sample')} of the {name} "
                 f"{'stands' if rows.size == 1 else 'stand'} out by up to {{height}}, the first at "
                 f"{trace.time[rows[0]]:.4g} s: correct or delete these rows of the file before a "
                 "fit; all else is told without them",
@@ -682,11 +672,6 @@ def drift(trace: Trace) -> Iterator[Fault]:
             "that changes",
             change=(change, "kip"),
         )
-
-
-def _count(number: int, noun: str) -> str:
-    """Number and noun: "3 steps"."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def _plus(value: float) -> str:

@@ -107,14 +107,14 @@ def channels_swapped(trace: Trace) -> bool:
     return bool(follows(x, force) - follows(force, x) + rougher < 0.0)
 
 
-def explained_by_motion(trace: Trace, force: Array | None = None) -> float:
-    """Share of the variance of a force about its line in time that the motion explains.
+def explained_by_motion(trace: Trace) -> float:
+    """Share of the variance of the force about its line in time that the motion explains.
 
     By least squares of displacement, velocity, and the direction of the motion with the distance
     from the middle: of the order of 0.8 for friction, at any lag, and 0 for what is not of this
-    motion. The trace's own force unless one, (T,), is given.
+    motion.
     """
-    values = np.asarray(trace.force if force is None else force)
+    values = np.asarray(trace.force)
     x, samples = trace.displacement - np.mean(trace.displacement), np.arange(trace.samples)
     way = np.searchsorted(trace.cycle_turns, samples, side="right") % 2 * 2.0 - 1.0
     line = np.column_stack([np.ones(x.size), trace.time - trace.time[0]])

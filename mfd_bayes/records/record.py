@@ -208,11 +208,7 @@ def decimate(values: Array, share: Fraction, start: int, end: int) -> Array:
 
 
 def default_rate(
-    time: Array,
-    displacement: Array,
-    turns: NDArray[np.intp],
-    gap: float,
-    record_rate: float,
+    time: Array, displacement: Array, turns: NDArray[np.intp], gap: float, record_rate: float
 ) -> float:
     """Lowest sampling rate, Hz, that resolves the crossing of a gap and the half-cycles.
 
@@ -463,7 +459,7 @@ def sources_of(
     columns: Mapping[str, str | int | Source] | None,
     units: Mapping[str, str] | None,
     actuation: str | None,
-    axes: Axes = DAMPER,
+    axes: Axes,
 ) -> dict[str, Source]:
     """Role to its source, as given or from headers such as ``time_s``, with its column and unit.
 
@@ -522,7 +518,7 @@ def _no_column_for(role: str, table: Table, axes: Axes) -> RecordError:
 
 
 def signals_of(
-    table: Table, sources: Mapping[str, Source], axes: Axes = DAMPER
+    table: Table, sources: Mapping[str, Source], axes: Axes
 ) -> tuple[dict[str, Array], dict[str, tuple[str, str]], ActuationUnit | None]:
     """Role to signal, internal units, and to name and unit; unit of a measured actuation."""
     raw = table.columns(used_columns(table, sources), sources["time"].dates)
@@ -712,7 +708,7 @@ class Record:
         First of what comes before the trace, since a time in s, then of what comes after it; empty
         where all of the record is in it.
         """
-        check_trace("trace", trace, RecordError)
+        check_trace(trace, RecordError)
         if since != -math.inf:
             since = real_number("since, in s,", since, RecordError)
         if self.window is None:

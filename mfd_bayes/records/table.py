@@ -413,7 +413,7 @@ def is_stamp(cell: object) -> bool:
     return _match(cell) is not None
 
 
-def elapsed(path: Path, name: str, cells: Sequence[object], dates: str = "") -> Array:
+def elapsed(path: Path, name: str, cells: Sequence[object], dates: str) -> Array:
     """Seconds since the first row of a column of time stamps, (T,); NaN for other cells.
 
     Clock times without a date go on after midnight. `dates` is "day first", "month first", or ""

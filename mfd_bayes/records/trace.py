@@ -342,11 +342,11 @@ class Trace:
         return float(np.mean(self.actuation))
 
 
-def check_trace(name: str, value: Any, error: type[MfdError]) -> Trace:
+def check_trace(value: Any, error: type[MfdError]) -> Trace:
     """A trace, unchanged."""
     if not isinstance(value, Trace):
         kind = type(value).__name__
-        raise error(f"{name} must be a Trace, such as Trace.from_arrays(...) makes, got {kind}")
+        raise error(f"trace must be a Trace, such as Trace.from_arrays(...) makes, got {kind}")
     return value
 
 

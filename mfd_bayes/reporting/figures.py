@@ -180,10 +180,7 @@ def in_units(
 
 @style()
 def draw_loops(
-    title: str,
-    trace: Trace,
-    fans: Sequence[QuantileBand] = (),
-    system: UnitSystem = US,
+    title: str, trace: Trace, fans: Sequence[QuantileBand] = (), system: UnitSystem = US
 ) -> Figure:
     """Force against displacement and against velocity, over bands, the widest fan first."""
     trace, fans = in_units(system, trace, fans)
@@ -260,10 +257,7 @@ def draw_history(
 
 @style()
 def draw_overview(
-    title: str,
-    tests: Sequence[TestView],
-    system: UnitSystem = US,
-    actuation_unit: str = "ksi",
+    title: str, tests: Sequence[TestView], system: UnitSystem = US, actuation_unit: str = "ksi"
 ) -> Figure:
     """Loops of up to sixty tests over their bands: rows are frequencies, columns actuations.
 
@@ -271,7 +265,7 @@ def draw_overview(
     actuation and frequency.
     """
     panel_tests = tests[:PANELS]
-    places, rows, columns = _places(panel_tests, actuation_unit)
+    places, rows, columns = _places(panel_tests)
     figure = new_figure(max(2.5 * columns, 6.0), 2.2 * rows + 0.7)
     suffix = "" if len(tests) == len(panel_tests) else f" (first {PANELS} of {len(tests)} tests)"
     figure.suptitle(f"{plain(title)}{suffix}", x=0.01, ha="left")
@@ -292,7 +286,7 @@ def draw_overview(
     return figure
 
 
-def _places(tests: Sequence[TestView], unit: str) -> tuple[list[tuple[int, int]], int, int]:
+def _places(tests: Sequence[TestView]) -> tuple[list[tuple[int, int]], int, int]:
     """Row and column of each test, and the numbers of rows and columns."""
     levels, frequencies = [], []
     for test in tests:
@@ -376,7 +370,7 @@ def _draw_loop(
     fans: Sequence[QuantileBand],
     abscissa: Array,
     turns: NDArray[np.intp],
-    force: Array | None = None,
+    force: Array | None,
 ) -> None:
     """Draw a force, or else the first fan's median, over bands against any abscissa, (T,).
 

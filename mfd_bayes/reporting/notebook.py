@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfd_bayes.errors import ReportError, real_numbers
 
@@ -27,7 +26,16 @@ class Notebook:
         from mfd_bayes.evaluation.scores import fan_of_band
         from mfd_bayes.reporting import figures
 
-        abscissa = None if displacement is None else _along(band, displacement)
+        abscissa = None
+        if displacement is not None:
+            abscissa = real_numbers("displacement", displacement, ReportError)
+            if abscissa.shape != band.time.shape:
+                raise ReportError(
+                    f"displacement must have shape {band.time.shape}, a number for each sample of "
+                    f"the band, got {abscissa.shape}"
+                )
+            if not np.all(np.isfinite(abscissa)):
+                raise ReportError("displacement must be finite")
         return figures.draw_band(axes, fan_of_band(band), band.time, abscissa, self.system)
 
     def plot_loops(self, test: TestResult, axes: Any) -> Any:
@@ -45,35 +53,17 @@ class Notebook:
 
     def to_inference_data(self, result: TestResult | Band) -> Any:
         """Groups of a test, or of a band, as ArviZ's functions take them."""
+        import xarray as xr
+
         from mfd_bayes.calibration.cycles import cycles_of_draws
         from mfd_bayes.population.bands import Band
         from mfd_bayes.store.netcdf import arviz_data, load_groups
 
         if isinstance(result, Band):
-            return arviz_data(_of_band(result))
+            attrs = {"units": "kip", "kind": result.kind, "source": result.source}
+            force = (("chain", "draw", "time"), result.draws[None], attrs)
+            numbers = {"chain": [0], "draw": np.arange(len(result.draws)), "time": result.time}
+            return arviz_data({"predictions": xr.Dataset({"force": force}, coords=numbers)})
         groups = load_groups(result.path)
         cycles = cycles_of_draws(result.posterior, result.stored.draws)
         return arviz_data({**groups, "log_likelihood": cycles})
-
-
-def _along(band: Band, displacement: Any) -> NDArray[np.float64]:
-    """Displacement over which a band is drawn, (T,), in."""
-    values = real_numbers("displacement", displacement, ReportError)
-    if values.shape != band.time.shape:
-        raise ReportError(
-            f"displacement must have shape {band.time.shape}, a number for each sample of the "
-            f"band, got {values.shape}"
-        )
-    if not np.all(np.isfinite(values)):
-        raise ReportError("displacement must be finite")
-    return values
-
-
-def _of_band(band: Band) -> dict[str, Any]:
-    """Group of a prediction: its force draws in one chain."""
-    import xarray as xr
-
-    attrs = {"units": "kip", "kind": band.kind, "source": band.source}
-    force = (("chain", "draw", "time"), band.draws[None], attrs)
-    numbers = {"chain": [0], "draw": np.arange(len(band.draws)), "time": band.time}
-    return {"predictions": xr.Dataset({"force": force}, coords=numbers)}

@@ -47,8 +47,7 @@ class ReportOptions:
         bool, Option("--all-tests", help="Draw the pictures of every test of such a run.")
     ] = False
     at: Annotated[
-        tuple[str, ...],
-        Option(help='Add a condition to the data sheet: "500 psi, 1 in, 0.5 Hz".'),
+        tuple[str, ...], Option(help='Add a condition to the data sheet: "500 psi, 1 in, 0.5 Hz".')
     ] = ()
     units: Units = ""
     trust_model: TrustModel = False

@@ -317,12 +317,7 @@ def paper_sheets(view: CampaignView, symbols: Symbols) -> tuple[Sheet, Sheet]:
     )
 
 
-def _sheet(
-    title: str,
-    rows: Sequence[Row],
-    heads: Mapping[str, str],
-    symbols: Symbols,
-) -> Sheet:
+def _sheet(title: str, rows: Sequence[Row], heads: Mapping[str, str], symbols: Symbols) -> Sheet:
     """Sheet of posteriors: the median, and below it the interval.
 
     Where there is a joint posterior of all tests, it comes first.
@@ -536,9 +531,7 @@ def to_excel(frames: Mapping[str, pd.DataFrame]) -> bytes:
     return stream.getvalue()
 
 
-def to_word(
-    title: str, sheets: Iterable[Sheet], symbols: Symbols, system: UnitSystem = US
-) -> bytes:
+def to_word(title: str, sheets: Iterable[Sheet], symbols: Symbols, system: UnitSystem) -> bytes:
     """A Word document (.docx) in the units of a system; each part of a sheet begins a page."""
     from docx import Document
     from docx.shared import Pt
@@ -618,7 +611,7 @@ def shared_tables(view: CampaignView) -> Iterator[tuple[str, str]]:
         yield table_of("truth"), to_csv(frame_of("truth", view.truth, system))
 
 
-def record_table(test: TestView, system: UnitSystem = US) -> str:
+def record_table(test: TestView, system: UnitSystem) -> str:
     """The table behind the loops, history and residuals of one test, in the units of a system."""
     record = _record(test)
     if test.trace.force is not None:

@@ -18,13 +18,7 @@ from typing import Any
 
 from mfd_bayes.errors import StoreError, hash_file
 from mfd_bayes.jobs.signals import before_end
-from mfd_bayes.store.files import (
-    PART,
-    cannot_remove,
-    check_place,
-    is_part,
-    remove_file,
-)
+from mfd_bayes.store.files import PART, cannot_remove, check_place, is_part, remove_file
 
 MANIFEST = "manifest.json"
 CAMPAIGN = "campaign.toml"
@@ -209,7 +203,7 @@ def hash_stored(folder: Path, names: Iterable[str]) -> dict[str, str]:
     return {name: hash_file(folder / name) for name in names if (folder / name).is_file()}
 
 
-def check_apart(folder: Path, inputs: Iterable[Path], *, force: bool, resume: bool = False) -> None:
+def check_apart(folder: Path, inputs: Iterable[Path], *, force: bool, resume: bool) -> None:
     """Refuse a run that would remove or replace one of its inputs: campaign, priors, records.
 
     With `force`, what an earlier run wrote will be removed; with `resume`, what it wrote of a test.

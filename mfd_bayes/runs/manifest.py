@@ -26,13 +26,7 @@ from mfd_bayes.jobs.job import JobState
 from mfd_bayes.population.mixed_model import DependenceScore, LawScore
 from mfd_bayes.records.cycles import MeasuredCycles
 from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.folder import (
-    MANIFEST,
-    POPULATION,
-    check_stored,
-    pooled_of,
-    posterior_of,
-)
+from mfd_bayes.runs.folder import MANIFEST, POPULATION, check_stored, pooled_of, posterior_of
 from mfd_bayes.runs.unit_system import UnitSystem, system_of
 from mfd_bayes.store.files import (
     AtLeastOne,

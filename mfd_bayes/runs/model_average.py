@@ -9,11 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mfd_bayes.errors import (
-    MOST_DRAWS,
-    FitError,
-    whole_number,
-)
+from mfd_bayes.errors import MOST_DRAWS, FitError, whole_number
 from mfd_bayes.population.bands import FEWEST, THIS_TEST, Band, PredictionOptions
 from mfd_bayes.population.conditioning import ConditioningSummary
 from mfd_bayes.records.trace import Trace

@@ -27,11 +27,7 @@ from mfd_bayes.runs.folder import (
     remove_folder,
 )
 from mfd_bayes.runs.manifest import Manifest, Status, _damage, _damage_of_population, read_begun
-from mfd_bayes.store.files import (
-    json_text,
-)
-
-# --- a run is begun, resumed or replaced
+from mfd_bayes.store.files import json_text
 
 COMPARISON = "comparison"
 """Name of the key of the comparison of models."""

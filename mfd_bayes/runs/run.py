@@ -13,16 +13,11 @@ import numpy as np
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.calibration.result import PlottingBackend, TestResult, load_result
-from mfd_bayes.errors import (
-    CampaignError,
-    FitError,
-    NotThereError,
-    StoreError,
-    path_of,
-)
+from mfd_bayes.errors import CampaignError, FitError, NotThereError, StoreError, path_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import JobState
+from mfd_bayes.messages import counted
 from mfd_bayes.population.bands import THIS_TEST, Band, PredictionOptions, Predictor
 from mfd_bayes.population.conditioning import OnlinePredictor, predict_given
 from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
@@ -52,7 +47,7 @@ from mfd_bayes.runs.tested_range import (
     reach_of,
 )
 from mfd_bayes.runs.unit_system import UnitSystem, named_system
-from mfd_bayes.store.cards import counted, grid
+from mfd_bayes.store.cards import grid
 from mfd_bayes.store.netcdf import load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
 
@@ -129,7 +124,7 @@ def open_run(folder: str | Path, *, trust: bool = False) -> Run:
     return Run(folder, manifest, priors, tests, traces, backend, trust=trust)
 
 
-def model_of(folder: Path, manifest: Manifest, *, trust: bool = False) -> Model:
+def model_of(folder: Path, manifest: Manifest, *, trust: bool) -> Model:
     """Model of a run; of a user's own, the run folder's copy of its file is run.
 
     A file that no calibration of this user has run is refused, but for `trust`.
@@ -227,7 +222,7 @@ class Run:
 
     def extrapolations(self, trace: Trace, test: str = "") -> tuple[Extrapolation, ...]:
         """Where a motion leaves what was tested, in all tests or in one calibrated test."""
-        check_trace("trace", trace, FitError)
+        check_trace(trace, FitError)
         unit = self.actuation_unit
         tested = self.tested
         if test:
@@ -385,7 +380,7 @@ class Run:
             When the trace has no actuation, an option is of another type or unknown, or the trace
             has no force in the given window.
         """
-        check_trace("trace", trace, FitError)
+        check_trace(trace, FitError)
         if not self.manifest.axes.actuated:
             trace = replace(trace, actuation=actuation_level(self, NO_ACTUATION))
         if condition_on is not None and (test or after):
@@ -563,12 +558,12 @@ def rewrite_manifest(run: Run, **updates: Any) -> Run:
     return replace(run, manifest=manifest)
 
 
-def actuation_level(run: Run, text: str, *, of: str = "--actuation") -> float:
+def actuation_level(run: Run, text: str) -> float:
     """Level of an actuation such as "1000 psi", in `actuation_unit`, as the tests had it."""
-    level, unit = parse_actuation(text, of=of)
+    level, unit = parse_actuation(text, of="--actuation")
     if unit != run.actuation_unit:
         kind = actuation_kind(run.actuation_unit)
-        raise CampaignError(f"{of} {text!r} must be {kind}, as in the campaign")
+        raise CampaignError(f"--actuation {text!r} must be {kind}, as in the campaign")
     return level
 
 

@@ -10,17 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.result import TestResult
-from mfd_bayes.errors import (
-    FitError,
-    StoreError,
-)
+from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.population.bands import THIS_TEST, PredictionOptions, Predictor
 from mfd_bayes.population.population import FinalState, Population
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.folder import (
-    check_stored,
-    pooled_of,
-)
+from mfd_bayes.runs.folder import check_stored, pooled_of
 from mfd_bayes.runs.manifest import Manifest
 from mfd_bayes.store.netcdf import load_arrays
 

@@ -26,8 +26,3 @@ def grid(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], note: s
     footer = f"<p>{escape(note)}</p>" if note else ""
     table = f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
     return f"<div><strong>{escape(title)}</strong>{table}{footer}</div>"
-
-
-def counted(number: int, noun: str) -> str:
-    """Number with its noun: "1 test", "3 tests"."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -121,30 +121,30 @@ class StoredTest:
         return {name: values.reshape(-1) for name, values in self.posterior.arrays.items()}
 
 
-@dataclass(frozen=True, eq=False)
-class CalibratedTest:
-    """A calibrated test to be stored."""
+def save_test(
+    path: Path,
+    values: Mapping[str, Array],
+    units: Mapping[str, str],
+    stats: Mapping[str, Array],
+    trace: Trace,
+    predictive: Array,
+    facts: Mapping[str, Any],
+) -> None:
+    """Write a calibrated test as NetCDF with the groups that ArviZ knows.
 
-    values: Mapping[str, Array]  # name to draws, (chain, draw)
-    units: Mapping[str, str]
-    stats: Mapping[str, Array]  # lp, log_prior and log_likelihood (chain, draw)
-    trace: Trace
-    predictive: Array  # replicated records, (chain, m, T), kip
-    facts: Mapping[str, Any]  # kept as JSON in the posterior's attributes
-
-
-def save_test(path: Path, test: CalibratedTest) -> None:
-    """Write a calibrated test as NetCDF with the groups that ArviZ knows."""
+    `values` are draws by name, (chain, draw), `stats` lp, log_prior and log_likelihood,
+    (chain, draw), and `predictive` replicated records, (chain, m, T), kip. `facts` become JSON.
+    """
     import xarray as xr
 
-    replicas = ((*_CHAINS, "time"), test.predictive.astype(np.float32), {"units": "kip"})
-    coordinates = {"time": test.trace.time, **_numbers({"force": test.predictive})}
-    stats = {name: (_CHAINS, value) for name, value in test.stats.items()}
+    replicas = ((*_CHAINS, "time"), predictive.astype(np.float32), {"units": "kip"})
+    coordinates = {"time": trace.time, **_numbers({"force": predictive})}
+    densities = {name: (_CHAINS, value) for name, value in stats.items()}
     groups = {
-        "posterior": draws_group(test.values, test.units, test.facts),
-        "sample_stats": xr.Dataset(stats, coords=_numbers(test.stats)),
+        "posterior": draws_group(values, units, facts),
+        "sample_stats": xr.Dataset(densities, coords=_numbers(stats)),
         "posterior_predictive": xr.Dataset({"force": replicas}, coords=coordinates),
-        **trace_groups(test.trace),
+        **trace_groups(trace),
     }
     _write_groups(path, groups)
 

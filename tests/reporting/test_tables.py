@@ -12,7 +12,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from mfd_bayes.applications.prediction.tables import predicted_csv
+from mfd_bayes.applications.prediction.command import predicted_csv
 from mfd_bayes.evaluation.assessment import Check
 from mfd_bayes.runs.findings import CheckStatus
 

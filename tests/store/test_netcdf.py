@@ -13,7 +13,6 @@ from mfd_bayes.errors import StoreError
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.store.netcdf import (
-    CalibratedTest,
     load_arrays,
     load_groups,
     load_test,
@@ -35,7 +34,7 @@ FACTS = {"model": "three_stage", "r_hat": np.float64(1.01), "steps": np.int64(40
 
 
 def save(path):
-    save_test(path, CalibratedTest(VALUES, UNITS, STATS, TRACE, PREDICTIVE, FACTS))
+    save_test(path, VALUES, UNITS, STATS, TRACE, PREDICTIVE, FACTS)
     return path
 
 

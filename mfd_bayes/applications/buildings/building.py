@@ -543,8 +543,4 @@ def _file_beside(folder: Path, name: str, key: str) -> Path:
 
 def example_building() -> str:
     """Text of a first building file, to be changed by its user."""
-    return (
-        files("mfd_bayes.applications.buildings")
-        .joinpath("example.toml")
-        .read_text(encoding="utf-8")
-    )
+    return files("mfd_bayes.applications.buildings").joinpath("example.toml").read_text("utf-8")

@@ -32,6 +32,7 @@ from mfd_bayes.console import say, warn
 from mfd_bayes.errors import BuildingError, UnitError
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.jobs.progress import show_progress
+from mfd_bayes.messages import counted
 from mfd_bayes.population.design import SAME_LEVEL
 from mfd_bayes.reporting.page import Units, picture, render_page
 from mfd_bayes.reporting.symbols import unit_text
@@ -41,7 +42,6 @@ from mfd_bayes.runs.folder import check_folder
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.tested_range import Range
 from mfd_bayes.runs.unit_system import SI, SYSTEMS, UnitSystem
-from mfd_bayes.store.cards import counted
 from mfd_bayes.store.files import json_text, remove_file, write_bytes, write_text
 from mfd_bayes.units import GRAVITY
 
@@ -128,8 +128,7 @@ def _write_view(
         levels, unit = swept
         each = [
             response_of(
-                building.at_level(level),
-                f"{system.words([level], unit, actuation=True)}, ",
+                building.at_level(level), f"{system.words([level], unit, actuation=True)}, "
             )
             for level in levels.tolist()
         ]

@@ -737,8 +737,4 @@ def example_ground() -> str:
     White noise through the soil's filter of Kanai and Tajimi, ω = 2π 2.5 Hz and ζ = 0.6, under an
     envelope; 20 s with a peak of 0.35 g. No earthquake looks quite like it.
     """
-    return (
-        files("mfd_bayes.applications.buildings")
-        .joinpath("example.AT2")
-        .read_text(encoding="utf-8")
-    )
+    return files("mfd_bayes.applications.buildings").joinpath("example.AT2").read_text("utf-8")

@@ -8,17 +8,7 @@ from typing import Annotated, Literal
 
 from typer import Option
 
-from mfd_bayes.options import (
-    Folder,
-    Jobs,
-    Quiet,
-    Replace,
-    RunFolder,
-    Seed,
-    TrustModel,
-    Units,
-    path,
-)
+from mfd_bayes.options import Folder, Jobs, Quiet, Replace, RunFolder, Seed, TrustModel, Units, path
 
 
 @dataclass(frozen=True)
@@ -49,8 +39,7 @@ class RespondOptions:
         str, Option(metavar="RANGE", help='actuation="500 psi to 1500 psi in 8 steps".')
     ] = ""
     quantity: Annotated[
-        Literal["drift", "acceleration"],
-        Option("--minimise", help="What the sweep makes small."),
+        Literal["drift", "acceleration"], Option("--minimise", help="What the sweep makes small.")
     ] = "drift"
     statistic: Annotated[
         Literal["mean", "q90", "passing"],

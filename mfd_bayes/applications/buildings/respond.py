@@ -16,21 +16,11 @@ from mfd_bayes.applications.buildings.ground import Ground, parse_ground, read_g
 from mfd_bayes.applications.buildings.response import STANDARD, Response, seen_peaks
 from mfd_bayes.applications.buildings.time_integration import response_of
 from mfd_bayes.applications.properties import design_factors
-from mfd_bayes.errors import (
-    MOST_DRAWS,
-    BuildingError,
-    path_of,
-    real_number,
-    whole_number,
-)
+from mfd_bayes.errors import MOST_DRAWS, BuildingError, path_of, real_number, whole_number
 from mfd_bayes.friction.model import Model
 from mfd_bayes.jobs.job import Step
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.tested_range import (
-    MARGIN,
-    Range,
-    extrapolations,
-)
+from mfd_bayes.runs.tested_range import MARGIN, Range, extrapolations
 from mfd_bayes.units import actuation_kind
 
 Grounds = Iterable[Ground | str | PathLike[str]] | Ground | str | PathLike[str]

@@ -12,10 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import betaincinv
 
 from mfd_bayes.applications.buildings.building import Building, ResponseLimits
-from mfd_bayes.applications.buildings.dampers import (
-    BOUND,
-    Dampers,
-)
+from mfd_bayes.applications.buildings.dampers import BOUND, Dampers
 from mfd_bayes.errors import BuildingError, NotThereError, UnitError
 from mfd_bayes.units import GRAVITY, parse_actuation, percent
 
@@ -239,12 +236,12 @@ class Response:
         return np.asarray(measures[name].max(axis=-1))
 
 
-def share_interval(count: int, n: int, probability: float = 0.95) -> tuple[float, float]:
+def share_interval(count: int, n: int) -> tuple[float, float]:
     """Jeffreys interval of a probability of which `count` of n draws are: inside 0 to 1.
 
     It reaches to 0 where none are, and to 1 where all are (Brown, Cai and DasGupta, 2001).
     """
-    tails = 0.5 * (1.0 - probability), 0.5 * (1.0 + probability)
+    tails = 0.5 * (1.0 - 0.95), 0.5 * (1.0 + 0.95)
     low, high = betaincinv(count + 0.5, n - count + 0.5, tails)
     return (float(low) if count else 0.0, float(high) if count < n else 1.0)
 
@@ -267,7 +264,7 @@ def combined(blocks: Sequence[Sequence[Response]], dampers: Dampers) -> Response
     return replace(blocks[0][0], grounds=grounds, dampers=dampers, **arrays)
 
 
-def seen_peaks(response: Response, peaks: Peaks, seed: int, *, scatter: bool = True) -> Response:
+def seen_peaks(response: Response, peaks: Peaks, seed: int, *, scatter: bool) -> Response:
     """The response with the dampers' largest forces as a load cell sees them, as predictions are.
 
     Each damper of a draw has its own excess, without `scatter` the mean one; all at a bound have a

@@ -27,11 +27,7 @@ from mfd_bayes.calibration.proposal import Evidence, fit_mixture, join_evidence
 from mfd_bayes.calibration.result import Task, TestResult
 from mfd_bayes.errors import CampaignError, FitError
 from mfd_bayes.friction import models
-from mfd_bayes.runs.manifest import (
-    ComparedEstimate,
-    Comparison,
-    ComparisonRow,
-)
+from mfd_bayes.runs.manifest import ComparedEstimate, Comparison, ComparisonRow
 from mfd_bayes.runs.run import Run
 
 Array = NDArray[np.float64]
@@ -59,11 +55,11 @@ class ModelChoice:
     """A model and a noise to compare, None for the campaign's own, in a run folder `name`."""
 
     name: str
-    model: str | None = None
-    noise: str | None = None
+    model: str | None
+    noise: str | None
 
 
-def candidates(names: Sequence[str], noises: Sequence[str] = ()) -> tuple[ModelChoice, ...]:
+def candidates(names: Sequence[str], noises: Sequence[str]) -> tuple[ModelChoice, ...]:
     """Every model with every noise; without noises two or more models with the campaign's own."""
     files = [name for name in dict.fromkeys(names) if models.file_of(name)]
     # a model in a file has the folder of its class
@@ -148,7 +144,7 @@ def compare_runs(runs: Mapping[str, Run]) -> Comparison:
 
 
 def comparison_of(
-    scores: Mapping[str, Mapping[str, Validation]], lost: Sequence[str] = ()
+    scores: Mapping[str, Mapping[str, Validation]], lost: Sequence[str]
 ) -> Comparison:
     """Comparison of the figures of the same tests by model; `lost` tests are named."""
     tests = list(next(iter(scores.values())))
@@ -204,25 +200,18 @@ def validate(test: TestResult, effort: Effort) -> Validation:
         r_hat is not None and r_hat <= effort.r_hat and min(bulk or 0, tail or 0) >= effort.ess
         for r_hat, bulk, tail in figures
     )
+    model, gap = posterior.model, posterior.model.gap(values)
+    names = [name for name in (*model.slip_forces, "k3") if name in values]
+    columns = {name: values[name] for name in names} | ({} if gap is None else {"gap": gap})
+    unit_of = {"gap": "in"} | units(model)
     return Validation(
         cycles.assign(test=test.id),
         squares=float(missed @ missed),
         spread=float(observed.size * observed.var()),
         short=() if converged else (test.id,),
         evidence=test.log_evidence(),
-        estimates=_estimates(posterior, values),
+        estimates={name: (unit_of[name], ends) for name, ends in intervals_of(columns).items()},
     )
-
-
-def _estimates(
-    posterior: Posterior, values: Mapping[str, Array]
-) -> dict[str, tuple[str, Interval]]:
-    """Unit and interval of slip forces, stiffness of the build-up, and gap, where they are."""
-    model, gap = posterior.model, posterior.model.gap(values)
-    names = [name for name in (*model.slip_forces, "k3") if name in values]
-    columns = {name: values[name] for name in names} | ({} if gap is None else {"gap": gap})
-    unit_of = {"gap": "in"} | units(model)
-    return {name: (unit_of[name], bounds) for name, bounds in intervals_of(columns).items()}
 
 
 def _rows(subject: str, scores: Mapping[str, Validation]) -> list[ComparisonRow]:
@@ -387,10 +376,7 @@ def psis_loo(log_likelihood: Array, efficiency: float = 1.0) -> tuple[float, flo
 
 
 def log_evidence(
-    density: Callable[[Array], Array],
-    draws: Array,
-    log_weights: Array,
-    rng: np.random.Generator,
+    density: Callable[[Array], Array], draws: Array, log_weights: Array, rng: np.random.Generator
 ) -> tuple[float, float]:
     """Log of the integral of a density, and the Pareto k of its importance weights.
 

@@ -12,13 +12,8 @@ import numpy as np
 
 from mfd_bayes.applications.export.options import DrawsOptions
 from mfd_bayes.errors import ReportError
-from mfd_bayes.runs.folder import (
-    alone_in,
-    check_places,
-)
-from mfd_bayes.runs.manifest import (
-    read_manifest,
-)
+from mfd_bayes.runs.folder import alone_in, check_places
+from mfd_bayes.runs.manifest import read_manifest
 from mfd_bayes.runs.run import Run, open_run
 from mfd_bayes.runs.unit_system import UnitSystem, named_system
 from mfd_bayes.store.files import write_bytes

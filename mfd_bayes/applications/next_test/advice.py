@@ -13,9 +13,7 @@ from mfd_bayes.applications.next_test.study import Row as AdviceRow
 from mfd_bayes.campaign.candidate import AT_MOTIONS, GAP, Candidate, typical_of
 from mfd_bayes.reporting.figures import new_figure, style
 from mfd_bayes.reporting.page import Addition
-from mfd_bayes.reporting.symbols import (
-    DATA,
-)
+from mfd_bayes.reporting.symbols import DATA
 from mfd_bayes.reporting.tables import table_of, to_csv
 from mfd_bayes.runs.unit_system import UnitSystem
 

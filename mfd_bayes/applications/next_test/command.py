@@ -16,8 +16,6 @@ from mfd_bayes.runs.folder import ADVICE, alone_in, check_outputs
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.store.files import commented, json_text, quoted, write_bytes, write_text
 
-# --- which test to make next
-
 _LARGEST = 2**20  # bytes of a file of candidates
 
 

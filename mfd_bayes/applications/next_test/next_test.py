@@ -24,16 +24,10 @@ from mfd_bayes.campaign.candidate import (
     parse_tests,
     typical_of,
 )
-from mfd_bayes.errors import (
-    CampaignError,
-)
-from mfd_bayes.runs.folder import (
-    CAMPAIGN,
-)
+from mfd_bayes.errors import CampaignError
+from mfd_bayes.runs.folder import CAMPAIGN
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.tested_range import (
-    extrapolations,
-)
+from mfd_bayes.runs.tested_range import extrapolations
 
 Candidates = str | Candidate | Iterable[str | Candidate]
 """Tests in words, or as they are."""

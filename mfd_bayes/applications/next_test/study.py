@@ -306,10 +306,7 @@ def gain_of(goals: Goals, residuals: Array) -> Gain:
     # both are means of squares over draws that were left out: without information they are equal
     share = goals.weights @ residuals**2 / goals.squares
     figures = []
-    for values in (
-        goals.narrower(share),
-        0.5 * (goals.known - goals.log_determinants(residuals)),
-    ):
+    for values in (goals.narrower(share), 0.5 * (goals.known - goals.log_determinants(residuals))):
         figures += [max(float(values[0]), 0.0), float(np.std(values[1:], ddof=1))]
     return Gain(*figures)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ import numpy as np
 
 from mfd_bayes.applications.prediction.comparison import Compared, compare
 from mfd_bayes.applications.prediction.options import PredictOptions
-from mfd_bayes.applications.prediction.tables import bands_csv, design_csv, predicted_csv
 from mfd_bayes.applications.properties import standard_bounds
 from mfd_bayes.campaign.guesses import guess_columns
 from mfd_bayes.campaign.schema import CampaignFile
@@ -24,7 +23,7 @@ from mfd_bayes.population.bands import DRAWS, KIND_NAMES, Band
 from mfd_bayes.records.readers import read_table
 from mfd_bayes.records.record import Record, Source, parse_window, read_record
 from mfd_bayes.records.trace import Trace, parse_sine
-from mfd_bayes.reporting.tables import convert_rows
+from mfd_bayes.reporting.tables import _by_column, _csv, convert_rows
 from mfd_bayes.runs.folder import check_outputs
 from mfd_bayes.runs.model_average import ModelAverage
 from mfd_bayes.runs.run import actuation_level, open_run
@@ -50,10 +49,10 @@ class Answer:
     band: Band
     derived: Rows
     system: UnitSystem
-    compared: Compared | None = None
-    design: Rows = ()
-    judged: str = ""
-    disagrees: bool = False
+    compared: Compared | None
+    design: Rows
+    judged: str
+    disagrees: bool
 
     @property
     def name(self) -> str:
@@ -77,7 +76,11 @@ def run_predict(options: PredictOptions) -> None:
             warning = "warning: " if answer.disagrees else ""
             say(f"{warning}{answer.judged}", err=answer.disagrees)
     if options.explain and band.variance_shares:
-        _print_shares(band.variance_shares, quiet=options.quiet)
+        if not options.quiet:
+            ordered = sorted(band.variance_shares.items(), key=lambda item: -item[1])
+            rows = [(name, f"{100 * share:.0f} %") for name, share in ordered]
+            print_rows("What makes the band wide", ("source", "share of the variance"), rows)
+        say(width_sentence(band.variance_shares))
     if answer.design:
         _print_design(answer.design, band.probability)
     if not options.quiet:
@@ -322,10 +325,7 @@ def _print_design(rows: Rows, probability: float) -> None:
         "Mean and bounding properties",
         ("property", "of", "unit", "nominal", "lower", "upper", "over nominal", ""),
         [
-            (
-                *(r["name"], r["of"], r["unit"]),
-                *figures((r[key] for key in keys), 3),
-            )
+            (*(r["name"], r["of"], r["unit"]), *figures((r[key] for key in keys), 3))
             for r in rows
             if not r["note"]
         ],
@@ -335,10 +335,59 @@ def _print_design(rows: Rows, probability: float) -> None:
     )
 
 
-def _print_shares(shares: Mapping[str, float], *, quiet: bool = False) -> None:
-    """Print what makes a band wide, and what can be done about it; quiet: only the latter."""
-    if not quiet:
-        ordered = sorted(shares.items(), key=lambda item: -item[1])
-        rows = [(name, f"{100 * share:.0f} %") for name, share in ordered]
-        print_rows("What makes the band wide", ("source", "share of the variance"), rows)
-    say(width_sentence(shares))
+# --- tables
+
+
+def predicted_csv(rows: Rows, actuation: str, probability: float, force: str = "force") -> str:
+    """Derived quantities of a prediction, with intervals of this probability."""
+    head = (
+        f"derived quantities of the device, without offset and noise, of kind {rows[0]['role']}: "
+        f"equal-tailed {percent(probability)} % intervals",
+        f"{actuation and f'actuation {actuation}; '}measured: of the {force} in the motion's file, "
+        "as it is",
+    )
+    return _csv(head, _by_column("prediction", rows))
+
+
+def design_csv(rows: Rows, actuation: str, probability: float) -> str:
+    """Mean and bounding properties with their factors, by property, then by basis."""
+    head = (
+        "mean and bounding properties; each bound is exceeded with a probability of "
+        f"{50.0 * (1.0 - probability):g} %",
+        "lower_ratio, upper_ratio: bound over the nominal value, the mean of the mean property",
+        *([f"actuation {actuation}"] if actuation else []),
+    )
+    return _csv(head, _by_column("design", rows))
+
+
+def bands_csv(trace: Trace, band: Band, notes: Sequence[str], system: UnitSystem) -> str:
+    """Band of a prediction at every sample, with the measured force of the trace if it has one.
+
+    `notes` are lines of its head, besides what the band is; the columns are in the units of
+    `system`.
+    """
+    forces = {"force": trace.force, "lower": band.lower, "median": band.median, "upper": band.upper}
+    if band.shows_simultaneous:
+        forces |= dict(
+            zip(("simultaneous_lower", "simultaneous_upper"), band.simultaneous, strict=True)
+        )
+    columns: dict[str, Any] = {
+        # may be seconds since 1970
+        "time_s" if system.axes.timed else "sample": [f"{time:.15g}" for time in trace.time],
+        system.column("displacement", "in"): trace.displacement * system.factor("in"),
+    } | {
+        system.column(name, "kip"): values * system.factor("kip")
+        for name, values in forces.items()
+        if values is not None
+    }
+    head = [
+        f"{band.interval} {percent(band.probability)} % band of kind {band.kind} "
+        f"({KIND_NAMES[band.kind]}), for each sample by itself; from {band.source}"
+    ]
+    if band.shows_simultaneous:
+        head.append("simultaneous: band of the whole history, of the same probability")
+    if band.conditioning is not None:
+        columns["conditioned"] = band.conditioning.holds(trace.time).astype(int)
+        head.append(system.text("conditioned: 1 where the force was given, 0 elsewhere"))
+    head += [system.text(f"warning: {remark}") for remark in band.remarks] + list(notes)
+    return _csv(head, columns, 8)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +18,6 @@ from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.unit_system import UnitSystem
 from mfd_bayes.units import percent
 
-if TYPE_CHECKING:
-    pass
-
 OFTEN = 3.0
 """A band is said to miss a record that leaves it so many times as often as its probability says."""
 
@@ -30,9 +26,6 @@ STILL, DWELL = 0.01, 0.125
 so near to its turn for half as long."""
 
 _OF_MEASUREMENT = [n for n, p in PROPERTIES.items() if p.unit == "kip"]  # with offset and noise
-
-
-# --- a prediction and the force that was measured in the same motion
 
 
 @dataclass(frozen=True)
@@ -49,7 +42,7 @@ class Compared:
     crps: float
     kind: str  # of the band
     probability: float
-    given: bool = False  # whether a first part of the record was given
+    given: bool  # whether a first part of the record was given
 
     def sentence(self, system: UnitSystem) -> str:
         """Coverage and error in words; whether the band holds what a load cell adds."""

@@ -71,8 +71,7 @@ class PredictOptions:
         str, Option(metavar="ID", help="The calibrated test, for --kind this_test.")
     ] = ""
     device: Annotated[
-        str,
-        Option(metavar='"no. 3"', help="A device of the campaign; else a new one, if several."),
+        str, Option(metavar='"no. 3"', help="A device of the campaign; else a new one, if several.")
     ] = ""
     session: Annotated[
         str, Option(help="A session of the campaign; else a new one, if several.")

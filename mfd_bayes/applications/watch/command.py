@@ -20,8 +20,6 @@ from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import UnitSystem
 from mfd_bayes.units import parse_quantity
 
-# --- a test is watched while it runs
-
 POLL = 1.0  # seconds between two looks at the file
 SAMPLES = 64  # of the next cycle, of which the band is computed
 
@@ -87,7 +85,15 @@ def watch(options: WatchOptions) -> Iterator[WatchedCycle]:
             raise RecordError(f"{options.record} has no column of the force")
         turns = trace.cycle_turns[::2]
         for start, end in pairwise(turns[turns >= begin - 1].tolist()):
-            follower = follower or _follow(run, trace, level, options)
+            if follower is None:
+                reached = conditions_of(trace)  # of the first cycle
+                follower = run.follow(
+                    level,
+                    amplitude=0.5 * reached["stroke"],
+                    velocity=reached.get("speed"),
+                    session=options.session,
+                    device=options.device,
+                )
             segment = slice(begin, end + 1)
             follower.update(
                 trace.time[segment],
@@ -106,18 +112,6 @@ def watch(options: WatchOptions) -> Iterator[WatchedCycle]:
         raise RecordError(
             f"{options.record} has no full cycle: expected a motion that turns three times"
         )
-
-
-def _follow(run: Run, trace: Trace, level: float, options: WatchOptions) -> OnlinePredictor:
-    """Forecaster of a test with the stroke and the speed of its first cycle."""
-    reached = conditions_of(trace)
-    return run.follow(
-        level,
-        amplitude=0.5 * reached["stroke"],
-        velocity=reached.get("speed"),
-        session=options.session,
-        device=options.device,
-    )
 
 
 def _width(follower: OnlinePredictor, trace: Trace, start: int, end: int) -> float:
