@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from mfd_bayes.applications.buildings.response import Response
     from mfd_bayes.applications.next_test.next_test import next_test
     from mfd_bayes.applications.next_test.study import Advice
+    from mfd_bayes.applications.properties.page import conformity_table
     from mfd_bayes.calibration.diagnostics import Effort
     from mfd_bayes.calibration.posterior import Posterior
     from mfd_bayes.calibration.priors import Prior, load_priors
@@ -44,6 +45,7 @@ _HOMES = {
     "Building": "mfd_bayes.applications.buildings.building",
     "calibrate": "mfd_bayes.pipeline.door",
     "Candidate": "mfd_bayes.campaign.candidate",
+    "conformity_table": "mfd_bayes.applications.properties.page",
     "demo": "mfd_bayes.pipeline.door",
     "Draws": "mfd_bayes.calibration.sampling",
     "Effort": "mfd_bayes.calibration.diagnostics",
@@ -104,6 +106,7 @@ __all__ = [
     "Trace",
     "accept",
     "calibrate",
+    "conformity_table",
     "demo",
     "inspect",
     "load_priors",

@@ -510,7 +510,14 @@ def _devices(requirement: Requirement, evidence: Evidence) -> Iterable[Conformit
 
 
 def _production(requirement: Requirement, evidence: Evidence) -> Iterable[ConformityRow]:
-    note = "test the devices of the supply and compare them: mfd-bayes accept"
+    steps = "; ".join(
+        f"{step.cycles} cycles at {step.amplitude:g} of mce" for step in requirement.steps
+    )
+    share = (
+        "every device" if requirement.share == 1.0 else f"{requirement.share:.0%} of the devices"
+    )
+    number = f", {requirement.devices} at least" if requirement.devices else ""
+    note = f"test {share} of the supply{number} ({steps}), and compare: mfd-bayes accept"
     yield _plain(requirement, Conformity.NOT_TESTED, note)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mfd_bayes.applications.properties.conformity import (
     Conformity,
@@ -19,10 +19,14 @@ from mfd_bayes.applications.properties.factors import PropertyFactors, property_
 from mfd_bayes.applications.properties.harmonic import condition_words, harmonic_tests, levels_of
 from mfd_bayes.campaign.schema import DesignTable
 from mfd_bayes.campaign.standard import Standard
+from mfd_bayes.errors import CampaignError
 from mfd_bayes.records.cycles import quantities
 from mfd_bayes.reporting.page import Addition
 from mfd_bayes.reporting.tables import to_csv
 from mfd_bayes.runs.run import Run
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 TABLES = ("conformity.csv", "factors.csv")
 """Of a standard, in a run folder."""
@@ -92,6 +96,14 @@ class StandardView:
             for row in self.factors
         ]
 
+    @property
+    def frame(self) -> pd.DataFrame:
+        """A row for each verdict, by test and cycle."""
+        import pandas as pd  # which takes long to import
+
+        rows = pd.DataFrame([asdict(row) for row in self.rows])
+        return rows.assign(standard=self.standard.title)
+
     def section(self) -> Addition:
         """Its part of a report."""
         return Addition("standard", self, self.tables())
@@ -101,9 +113,6 @@ class StandardView:
         import pandas as pd  # which takes long to import
 
         factor, unit = self.run.system.of_actuation(self.run.actuation_unit)
-        verdicts = pd.DataFrame([asdict(row) for row in self.rows]).assign(
-            standard=self.standard.title
-        )
         factors = []
         for row in self.factors:
             flat: dict[str, Any] = {
@@ -132,7 +141,7 @@ class StandardView:
             f"{design.lambda_spec.min:g} to {design.lambda_spec.max:g}",
         ]
         return {
-            TABLES[0]: to_csv(verdicts, head[:1]),
+            TABLES[0]: to_csv(self.frame, head[:1]),
             TABLES[1]: to_csv(pd.DataFrame(factors), head),
         }
 
@@ -162,3 +171,29 @@ def standard_view(run: Run, *, predicted: bool = True) -> StandardView | None:
     evidence = to_compare(run, predicted=predicted)
     factors = property_factors(standard, evidence, levels_of(evidence.tests))
     return StandardView(standard, design, conformity(standard, evidence), factors, run)
+
+
+def conformity_table(run: Run) -> pd.DataFrame:
+    """Verdicts of a run on its standard, a row for each requirement, quantity, test and cycle.
+
+    Parameters
+    ----------
+    run : Run
+        Of a campaign with a table `[design]`.
+
+    Returns
+    -------
+    DataFrame
+        Columns clause, requirement, verdict ("meets", "fails" or "not tested"), quantity,
+        direction, test, cycle (0 for the test as a whole), value and limit (shares), probability
+        that the device meets the limit, note, and standard.
+
+    Raises
+    ------
+    CampaignError
+        When the campaign of the run names no standard.
+    """
+    view = standard_view(run)
+    if view is None:
+        raise CampaignError(f"the campaign of {run.folder} has no [design] that names a standard")
+    return view.frame
