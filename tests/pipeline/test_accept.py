@@ -136,7 +136,9 @@ def test_each_device_has_a_page_to_file(batch):
     folder, _ = batch
     page = (folder / "strong.html").read_text(encoding="utf-8")
     assert re.search(r"strong\.csv, SHA-256 [0-9a-f]{64}", page)
-    for text in ("Rejected", "1000 psi", "guard band", "Signature", "data:image/png;base64,"):
+    for text in ("Rejected", "1000 psi", "Signature", "data:image/png;base64,"):
+        assert text in page
+    for text in ("guard band", "<br>risk 0.0"):
         assert text in page
     assert "http" not in re.sub(r'http-equiv="[^"]*"', "", page)  # it loads nothing
     assert (folder / "acceptance.png").stat().st_size > 1000
@@ -190,6 +192,8 @@ def test_a_common_load_cell_cancels_and_another_widens_what_has_a_force_in_it(ru
         for device, gains in ((1, 0.1), (2, 0.1 * np.sqrt(2.0))):
             expected = np.hypot(sds[0][name], 2.0 * 1.645 * gains)
             assert sds[device][name] == pytest.approx(expected, rel=0.15), name
+    bands = [d.comparisons[0].expected.fan.widest for d in (exact, other)]
+    assert np.mean(bands[1].upper - bands[1].lower) > 1.1 * np.mean(bands[0].upper - bands[0].lower)
     for name in ("gap", "effective_damping"):
         assert sds[2][name] == sds[0][name]
     assert (other.rows["detectable"] >= exact.rows["detectable"]).drop("loop")[:2].all()

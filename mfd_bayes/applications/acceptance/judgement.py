@@ -298,7 +298,9 @@ def expect(
                 f"{ratio:.1f} times as much as the population says: its intervals are widened by "
                 "that"
             )
-    band = Interval(1.0 - ALPHA, observed.lower, observed.upper)
+    force = gains.applied({"force": observed.draws})["force"]
+    lower, upper = np.quantile(force, [0.5 * ALPHA, 1.0 - 0.5 * ALPHA], axis=0)
+    band = Interval(1.0 - ALPHA, lower, upper)
     fan = QuantileBand("observation", observed.median, (band,))
     return Expected(nominal, this_device, any_device, fan, tuple(dict.fromkeys(remarks)))
 
