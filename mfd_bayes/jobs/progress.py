@@ -112,22 +112,19 @@ def _bars() -> Iterator[Observe]:
             bars.console.print(clean(line_of(step)))
             done.update({step.id} & tests if step.stage in ENDED else ())
         elif step.stage != JobState.WAITING:
-            _show(step)
+            if step.id not in rows:
+                rows[step.id] = bars.add_task(clean(step.id)[:30], total=None, state="")
+            progress, state = step.progress, clean(f"{step.stage} {step.message}".strip())
+            if progress is None:
+                bars.update(rows[step.id], state=state)
+            else:
+                share = progress.share if progress.share > 0.0 else progress.steps / progress.limit
+                state = f"{state}{_reached(progress)}{_missing(progress)}"
+                bars.update(rows[step.id], total=1.0, completed=min(share, 1.0), state=state)
         state = f"{len(done)} of {len(tests)} done"
         bars.update(
             every, total=len(tests), completed=len(done), state=state, visible=bool(rows or done)
         )
-
-    def _show(step: Step) -> None:
-        if step.id not in rows:
-            rows[step.id] = bars.add_task(clean(step.id)[:30], total=None, state="")
-        progress, state = step.progress, clean(f"{step.stage} {step.message}".strip())
-        if progress is None:
-            bars.update(rows[step.id], state=state)
-        else:
-            share = progress.share if progress.share > 0.0 else progress.steps / progress.limit
-            state = f"{state}{_reached(progress)}{_missing(progress)}"
-            bars.update(rows[step.id], total=1.0, completed=min(share, 1.0), state=state)
 
     with before_end(bars.stop), bars:  # no frame may follow the last words on Ctrl-C
         yield observe

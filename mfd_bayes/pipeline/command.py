@@ -34,9 +34,7 @@ if TYPE_CHECKING:
 
     from mfd_bayes.evaluation.assessment import Assessment, Check
     from mfd_bayes.evaluation.views import CampaignView
-    from mfd_bayes.pipeline.plan import Plan
     from mfd_bayes.runs.findings import Finding
-    from mfd_bayes.runs.manifest import Comparison
     from mfd_bayes.runs.unit_system import UnitSystem
 
 WIDTH, LINES = 100, 10
@@ -144,7 +142,14 @@ def run_calibrate(options: CalibrateOptions) -> None:
     if options.dry_run or out is None:
         if out is not None:
             check_dry(plan, out)
-        _print_plan(plan)
+        lengths = {task.id: task.trace.samples for task in plan.tasks}
+        tests = [f"{name} ({counted(n, 'sample')})" for name, n in lengths.items()]
+        say(f"{plan.campaign.path} is fine: would calibrate {', '.join(tests)}")
+        say(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
+        if order := plan.manifest.settings.order:
+            follow = (f"{name} after {other}" for name, other in order.items())
+            say(f"without a reset: {', '.join(follow)}")
+        _print_warnings(plan.manifest.warnings, plan.system)
         if plan.slow:
             say(f"warning: {plan.slow}")
         return
@@ -228,7 +233,21 @@ def run_compare(options: CompareOptions) -> None:
         comparison, views = compare(
             *(options.campaign, options.out, models, noises, options.by, complete, observe)
         )
-    _print_comparison(comparison, quiet=options.quiet)
+    heads = ("model", "cycles", "elpd ± se", "p_loo", "worst k", "k > 0.7", "difference ± se")
+    rows = [
+        (
+            *(r.subject, r.model, r.cycles, f"{r.elpd:.1f} ± {r.elpd_se:.1f}", f"{r.p_loo:.1f}"),
+            *(f"{r.worst_k:.2f}", f"{r.bad:.0%} → {r.unsettled:.0%}"),  # by PSIS → computed again
+            *(f"{r.difference:.1f} ± {r.difference_se:.1f}", f"{r.rrse:.3f}"),
+            f"{r.log_evidence:.2f} ± {r.log_evidence_se:.2f}"
+            f"{'' if r.evidence_trusted else ', do not trust'}",
+        )
+        for r in comparison.rows
+    ]
+    if not options.quiet:
+        title = "Each cycle predicted from all others (leave-one-cycle-out)"
+        print_rows(title, ("test    ", *heads, "RRSE", "log evidence ± se"), rows)
+    say(comparison.sentence)
     for model, view in views.items():
         if scores := view.left_out:
             crps = scores.mean["crps"] * view.system.factor("kip")
@@ -255,30 +274,6 @@ def run_demo(options: DemoOptions) -> None:
     )
     with show_progress(quiet=options.quiet) as observe:
         view = demo(options.out, calibration, observe)
-    _print_truth(view, quiet=options.quiet)
-    _print_end(view, options.out, quiet=options.quiet)
-
-
-def _print_warnings(warnings: Iterable[Finding], system: UnitSystem) -> None:
-    """Print what was found that a reader must know, a line each, in the units of a system."""
-    for finding in warnings:
-        say(f"warning: {finding.subject}: {finding.message.to_text(system)}")
-
-
-def _print_plan(plan: Plan) -> None:
-    """Print what a calibration would do, and the warnings about its records."""
-    lengths = {task.id: task.trace.samples for task in plan.tasks}
-    tests = [f"{name} ({counted(n, 'sample')})" for name, n in lengths.items()]
-    say(f"{plan.campaign.path} is fine: would calibrate {', '.join(tests)}")
-    say(f"and predict {', '.join(plan.held_out) or 'nothing'}; nothing was written")
-    if order := plan.manifest.settings.order:
-        follow = (f"{name} after {other}" for name, other in order.items())
-        say(f"without a reset: {', '.join(follow)}")
-    _print_warnings(plan.manifest.warnings, plan.system)
-
-
-def _print_truth(view: CampaignView, *, quiet: bool) -> None:
-    """Print the true values of a synthetic campaign beside its posterior; quiet: only a summary."""
     heads = ("test", "quantity", "unit", "truth", "2.5 %", "50 %", "97.5 %", "inside", "data")
     rows = [
         (
@@ -289,7 +284,7 @@ def _print_truth(view: CampaignView, *, quiet: bool) -> None:
         )
         for row in view.truth
     ]
-    if not quiet:
+    if not options.quiet:
         title = "Truth against posterior (95 % equal-tailed interval)"
         print_rows(title, heads, rows, folded=2)
     informed = [row for row in view.truth if row["informed"]]
@@ -298,25 +293,13 @@ def _print_truth(view: CampaignView, *, quiet: bool) -> None:
         f"truth inside the 95 % interval for {hits} of {len(informed)} quantities that the "
         f"data inform ({hits / max(len(informed), 1):.1%})"
     )
+    _print_end(view, options.out, quiet=options.quiet)
 
 
-def _print_comparison(comparison: Comparison, *, quiet: bool) -> None:
-    """Print how well each model predicts, and which one is favoured; quiet: only the latter."""
-    heads = ("model", "cycles", "elpd ± se", "p_loo", "worst k", "k > 0.7", "difference ± se")
-    rows = [
-        (
-            *(r.subject, r.model, r.cycles, f"{r.elpd:.1f} ± {r.elpd_se:.1f}", f"{r.p_loo:.1f}"),
-            *(f"{r.worst_k:.2f}", f"{r.bad:.0%} → {r.unsettled:.0%}"),  # by PSIS → computed again
-            *(f"{r.difference:.1f} ± {r.difference_se:.1f}", f"{r.rrse:.3f}"),
-            f"{r.log_evidence:.2f} ± {r.log_evidence_se:.2f}"
-            f"{'' if r.evidence_trusted else ', do not trust'}",
-        )
-        for r in comparison.rows
-    ]
-    if not quiet:
-        title = "Each cycle predicted from all others (leave-one-cycle-out)"
-        print_rows(title, ("test    ", *heads, "RRSE", "log evidence ± se"), rows)
-    say(comparison.sentence)
+def _print_warnings(warnings: Iterable[Finding], system: UnitSystem) -> None:
+    """Print what was found that a reader must know, a line each, in the units of a system."""
+    for finding in warnings:
+        say(f"warning: {finding.subject}: {finding.message.to_text(system)}")
 
 
 def _print_left_out(view: CampaignView, *, quiet: bool) -> None:

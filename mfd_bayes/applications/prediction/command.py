@@ -85,7 +85,15 @@ def run_predict(options: PredictOptions) -> None:
         _print_design(answer.design, band.probability)
     if not options.quiet:
         title = answer.system.text("Derived quantities, of the damper without offset and noise")
-        _print_derived(answer.derived, band.probability, title)
+        low, high = (f"{percent(0.5 * (1 + side * band.probability))} %" for side in (-1, 1))
+        keys = ("mean", "sd", "lower", "median", "upper", "measured")
+        print_rows(
+            title,
+            ("quantity", "unit", "mean", "sd", low, "50 %", high, "measured"),
+            [(r["name"], r["unit"], *figures(r[key] for key in keys)) for r in answer.derived],
+            folded=0,
+            caption="; ".join(f"{r['name']} {r['note']}" for r in answer.derived if r["note"]),
+        )
         say(f"look next at {options.beside('derived.csv')}")
 
 
@@ -299,19 +307,6 @@ def _write(options: PredictOptions, trace: Trace, answer: Answer, measured: Trac
     write_bytes(options.picture, to_png(loops))
     figure = draw_history(title, history, [fan], system, given=window)
     write_bytes(options.beside("history.png"), to_png(figure))
-
-
-def _print_derived(rows: Rows, probability: float, title: str) -> None:
-    """Print the derived quantities of a prediction."""
-    low, high = (f"{percent(0.5 * (1 + side * probability))} %" for side in (-1, 1))
-    keys = ("mean", "sd", "lower", "median", "upper", "measured")
-    print_rows(
-        title,
-        ("quantity", "unit", "mean", "sd", low, "50 %", high, "measured"),
-        [(r["name"], r["unit"], *figures(r[key] for key in keys)) for r in rows],
-        folded=0,
-        caption="; ".join(f"{r['name']} {r['note']}" for r in rows if r["note"]),
-    )
 
 
 def _print_design(rows: Rows, probability: float) -> None:
