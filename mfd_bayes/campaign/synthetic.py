@@ -79,8 +79,13 @@ standard = "asce7-22"
 T1 = "1.33 s"
 mce = "1 in"
 actuation = "1000 psi"
-target = { slip_fwd = "1.5 kip", slip_bwd = "1.9 kip", energy = "6.6 kip*in" }
 lambda_spec = { min = 0.9, max = 1.1 }
+[design.target]
+slip_fwd = "1.5 kip"
+slip_bwd = "1.9 kip"
+force_at_max_fwd = "1.5 kip"
+force_at_max_bwd = "1.9 kip"
+energy = { value = "6.6 kip*in", tolerance = "15 %" }
 
 """
 _AFFINE = """\

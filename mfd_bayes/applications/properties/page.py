@@ -81,15 +81,28 @@ class StandardView:
         return f"Of {len(worst)} requirements of {self.standard.title}: {', '.join(counts)}."
 
     @property
+    def levels(self) -> list[str]:
+        """Levels of actuation in words, the smallest first."""
+        return list(dict.fromkeys(self._level(row) for row in self.factors))
+
+    def _level(self, row: PropertyFactors) -> str:
+        system, unit = self.run.system, self.run.actuation_unit
+        return system.words([row.actuation], unit, actuation=True) if system.axes.actuated else ""
+
+    @property
+    def by_quantity(self) -> dict[str, list[PropertyFactors]]:
+        """Factors at each level of a quantity, as the standard calls it."""
+        rows: dict[str, list[PropertyFactors]] = {}
+        for row in self.factors:
+            rows.setdefault(self.symbol(row.quantity, row.direction), []).append(row)
+        return rows
+
+    @property
     def composed(self) -> list[dict[str, Any]]:
         """Factors as a page shows them, a row for each level, quantity and direction."""
         return [
             {
-                "level": self.run.system.words(
-                    [row.actuation], self.run.actuation_unit, actuation=True
-                )
-                if self.run.system.axes.actuated
-                else "",
+                "level": self._level(row),
                 "subject": self.symbol(row.quantity, row.direction),
                 "row": row,
             }
