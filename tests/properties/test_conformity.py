@@ -140,10 +140,8 @@ def test_a_sequence_is_asked_for_at_every_level_of_actuation():
 
 @pytest.mark.parametrize(("change", "expected"), [(0.16, [NOT_TESTED] * 6), (0.14, [MEETS])])
 def test_other_frequencies_are_asked_for_where_the_rate_changes_the_properties(change, expected):
-    # of two tests, one's mean over that of both deviates by `change`
-    faster = 1.0 * (1 + change) / (1 - change)
     tests = [*sequence(), harmonic("fast", 2.2 * MCE, BASE, [1.0] * 3)]
-    tests.append(harmonic("faster", 2.2 * MCE, 1.3 / T1, [faster] * 3))
+    tests.append(harmonic("faster", 2.2 * MCE, 1.3 / T1, [1.0 + change] * 3))
     assert verdicts(rows_of(tests), "sequence at other") == expected
     assert verdicts(rows_of(sequence()), "sequence at other") == [NOT_TESTED]
     assert verdicts(rows_of(GOOD), "sequence at other") == [MEETS]

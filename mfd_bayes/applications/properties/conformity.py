@@ -465,9 +465,12 @@ def _unstated(requirement: Requirement, evidence: Evidence) -> str:
 
 
 def rate_change(requirement: Requirement, evidence: Evidence) -> float:
-    """Largest measured change of the quantities with the rate, as a share; NaN if not tested."""
+    """Largest measured change of the quantities with the rate, as a share; NaN if not tested.
+
+    It is the largest mean of tests that differ in the frequency alone over the smallest, less 1.
+    """
     sizes = [
-        float(np.abs(measured).max())
+        float((1.0 + measured).max() / (1.0 + measured).min() - 1.0)
         for name in requirement.rate_quantities
         for item in quantities()[name]
         for _, measured, _ in changes(evidence, item, "frequency")
