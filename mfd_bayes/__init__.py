@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mfd_bayes.applications.next_test.next_test import next_test
     from mfd_bayes.applications.next_test.study import Advice
     from mfd_bayes.applications.properties.page import conformity_table
-    from mfd_bayes.calibration.diagnostics import Effort
+    from mfd_bayes.calibration.effort import Effort
     from mfd_bayes.calibration.posterior import Posterior
     from mfd_bayes.calibration.priors import Prior, load_priors
     from mfd_bayes.calibration.sampling import Draws, sample
@@ -48,7 +48,7 @@ _HOMES = {
     "conformity_table": "mfd_bayes.applications.properties.page",
     "demo": "mfd_bayes.pipeline.door",
     "Draws": "mfd_bayes.calibration.sampling",
-    "Effort": "mfd_bayes.calibration.diagnostics",
+    "Effort": "mfd_bayes.calibration.effort",
     "Goal": "mfd_bayes.campaign.candidate",
     "Ground": "mfd_bayes.applications.buildings.ground",
     "inspect": "mfd_bayes.pipeline.door",

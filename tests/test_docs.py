@@ -17,7 +17,7 @@ from typer.main import get_command
 
 import mfd_bayes as mb
 from mfd_bayes.applications.buildings.building import read_building
-from mfd_bayes.calibration.diagnostics import EFFORTS
+from mfd_bayes.calibration.effort import EFFORTS
 from mfd_bayes.campaign import schema
 from mfd_bayes.campaign.campaign import load_campaign
 from mfd_bayes.cli.commands import app

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import EFFORTS, intervals_of
+from mfd_bayes.calibration.diagnostics import intervals_of
+from mfd_bayes.calibration.effort import EFFORTS
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import PriorFile
 from mfd_bayes.calibration.result import TestResult

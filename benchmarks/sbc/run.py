@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 
 import mfd_bayes as mb
-from mfd_bayes.calibration.diagnostics import EFFORTS
+from mfd_bayes.calibration.effort import EFFORTS
 from tests.statistical import sbc_study
 from tests.statistical.sbc_study import TRUE, WRONG, Ranked
 

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from math import inf
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import special
 
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import units
-from mfd_bayes.errors import FitError, real_number, whole_number
 from mfd_bayes.friction.model import Model
 from mfd_bayes.records.trace import Trace, check_magnitude
 from mfd_bayes.store.netcdf import import_arviz
@@ -24,49 +22,6 @@ Array = NDArray[np.float64]
 FEWEST_STEPS = 8  # of fewer steps of a chain, R̂ and effective sample size cannot be told
 # of the effective sample size asked for: enough for tails that the table of the laws does not show
 TAIL_SHARE = 0.25
-
-
-@dataclass(frozen=True)
-class Effort:
-    """Length and targets of a sampling.
-
-    The effective sample size alone cannot tell walkers that have not moved from independent draws:
-    hence a least number of steps too.
-    """
-
-    name: str = field(default="", kw_only=True)
-    ess: float  # effective sample size of all bulks, and of the tails that tables show
-    limit: int  # largest number of steps of each ensemble
-    r_hat: float = 1.01  # largest R̂ across ensembles
-    length: float = 5.0  # least number of kept steps, in autocorrelation times
-    ensembles: int = 4  # independent ensembles, each a chain
-    walkers: int = 48  # walkers of each ensemble; more are used where there are many dimensions
-    kept: int = 3000  # approximate number of draws kept from each ensemble
-    starts: int = 24  # points from which modes are searched; with few points a minor mode is missed
-
-    def __post_init__(self) -> None:
-        for name in ("ess", "r_hat"):
-            value = getattr(self, name)
-            real_number(f"{name} of an effort", value, FitError, (0.0, inf), exclusive=True)
-        real_number("length of an effort", self.length, FitError, (0.0, inf))
-        for name in ("limit", "ensembles", "walkers", "kept", "starts"):
-            whole_number(f"{name} of an effort", getattr(self, name), 1, FitError)
-
-
-EFFORTS = {
-    "quick": Effort(name="quick", ess=100.0, limit=2400, r_hat=1.03, length=3.0, kept=1200),
-    "standard": Effort(name="standard", ess=400.0, limit=8000),
-    "thorough": Effort(name="thorough", ess=2000.0, limit=40000, length=50.0, kept=8000, starts=72),
-}
-
-
-def find_effort(effort: str | Effort) -> Effort:
-    """Effort of that name."""
-    if isinstance(effort, Effort):
-        return effort
-    if not isinstance(effort, str) or effort not in EFFORTS:
-        raise FitError(f"unknown effort {effort!r}: expected one of {', '.join(EFFORTS)}")
-    return EFFORTS[effort]
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +178,7 @@ def tempering(log_weights: Array, share: float) -> float:
 
     def excess(power: float) -> float:
         scaled = power * ratios
-        size = 2.0 * special.logsumexp(scaled) - special.logsumexp(2.0 * scaled)
+        size = 2.0 * scipy.special.logsumexp(scaled) - scipy.special.logsumexp(2.0 * scaled)
         return float(size - floor)
 
     if excess(1.0) >= 0.0:

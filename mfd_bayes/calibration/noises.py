@@ -7,8 +7,8 @@ from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import special
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.quantities import Quantity
@@ -119,7 +119,11 @@ class StudentT(OU):
 
     def _density(self, standard: Array, values: Values) -> Array:
         dof = values["noise_dof"]
-        peak = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - 0.5 * np.log(dof * np.pi)
+        peak = (
+            scipy.special.gammaln((dof + 1) / 2)
+            - scipy.special.gammaln(dof / 2)
+            - 0.5 * np.log(dof * np.pi)
+        )
         tails = np.log1p(standard**2 / dof[:, None]).sum(axis=1)
         density: Array = standard.shape[1] * peak - 0.5 * (dof + 1) * tails
         return density

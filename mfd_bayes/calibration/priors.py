@@ -12,8 +12,8 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import special
 
 from mfd_bayes.calibration.noises import NOISES, Noise
 from mfd_bayes.errors import PriorError, UnitError
@@ -53,12 +53,14 @@ def _normal(x: Array, mean: float, sd: float) -> Array:
 
 def _gamma(x: Array, f: Figures) -> Array:
     k, scale = f["shape"], f["scale"]
-    return np.asarray((k - 1) * np.log(x) - x / scale - special.gammaln(k) - k * np.log(scale))
+    return np.asarray(
+        (k - 1) * np.log(x) - x / scale - scipy.special.gammaln(k) - k * np.log(scale)
+    )
 
 
 def _beta(x: Array, f: Figures) -> Array:
-    powers = special.xlogy(f["a"] - 1, x) + special.xlog1py(f["b"] - 1, -x)
-    return powers - special.betaln(f["a"], f["b"])
+    powers = scipy.special.xlogy(f["a"] - 1, x) + scipy.special.xlog1py(f["b"] - 1, -x)
+    return powers - scipy.special.betaln(f["a"], f["b"])
 
 
 def _tail(f: Figures) -> tuple[float, float, float]:
@@ -68,7 +70,7 @@ def _tail(f: Figures) -> tuple[float, float, float]:
     """
     a, b = ((bound - f["mean"]) / f["sd"] for bound in (f["lower"], f.get("upper", np.inf)))
     side = -1.0 if a > 0 else 1.0
-    return float(special.log_ndtr(side * a)), float(special.log_ndtr(side * b)), side
+    return float(scipy.special.log_ndtr(side * a)), float(scipy.special.log_ndtr(side * b)), side
 
 
 def _truncated(x: Array, f: Figures) -> Array:
@@ -79,7 +81,7 @@ def _truncated(x: Array, f: Figures) -> Array:
 def _truncated_quantile(u: Any, f: Figures) -> Any:
     low, high, side = _tail(f)
     probability = np.logaddexp(low + np.log1p(-u), high + np.log(u))
-    return f["mean"] + side * f["sd"] * special.ndtri_exp(probability)
+    return f["mean"] + side * f["sd"] * scipy.special.ndtri_exp(probability)
 
 
 # every family by its name in prior files: a new one is registered here, by one entry
@@ -109,7 +111,7 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(
             {"sd": WIDTH},
             lambda x, f: _normal(x, 0.0, f["sd"]) + np.log(2.0),
             lambda rng, n, f: np.abs(rng.normal(0.0, f["sd"], n)),
-            lambda f: float(f["sd"] * special.ndtri(0.75)),
+            lambda f: float(f["sd"] * scipy.special.ndtri(0.75)),
         ),
         "uniform": Family(
             {"lower": PLACE, "upper": PLACE},
@@ -122,13 +124,13 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(
             {"shape": SHAPE, "scale": WIDTH},
             _gamma,
             lambda rng, n, f: rng.gamma(f["shape"], f["scale"], n),
-            lambda f: float(f["scale"] * special.gammaincinv(f["shape"], 0.5)),
+            lambda f: float(f["scale"] * scipy.special.gammaincinv(f["shape"], 0.5)),
         ),
         "beta": Family(
             {"a": SHAPE, "b": SHAPE},
             _beta,
             lambda rng, n, f: np.asarray(rng.beta(f["a"], f["b"], n)),
-            lambda f: float(special.betaincinv(f["a"], f["b"], 0.5)),
+            lambda f: float(scipy.special.betaincinv(f["a"], f["b"], 0.5)),
             (0.0, 1.0),
         ),
         "fixed": Family(
@@ -193,7 +195,7 @@ class Prior:
             return q
         if self.upper == np.inf:
             return self.lower + np.exp(np.minimum(q, 700.0))
-        return self.lower + (self.upper - self.lower) * special.expit(q)
+        return self.lower + (self.upper - self.lower) * scipy.special.expit(q)
 
     def coordinate(self, x: Array) -> Array:
         """Coordinate q of quantity x, the inverse of `value`."""
@@ -201,7 +203,7 @@ class Prior:
             return x
         if self.upper == np.inf:
             return np.log(x - self.lower)
-        return special.logit((x - self.lower) / (self.upper - self.lower))
+        return scipy.special.logit((x - self.lower) / (self.upper - self.lower))
 
     def log_density(self, q: Array) -> Array:
         """Log density of q, with the Jacobian; −inf where x is out of range, same shape."""
@@ -210,7 +212,7 @@ class Prior:
             density = FAMILIES[self.family].log_density(x, self.figures)
             if self.upper < np.inf:
                 width = np.log(self.upper - self.lower)
-                density = density + width + special.log_expit(q) + special.log_expit(-q)
+                density = density + width + scipy.special.log_expit(q) + scipy.special.log_expit(-q)
             elif self.lower > -np.inf:
                 density = density + q
             in_range = (np.abs(x) < RANGE) & (x - self.lower > 1.0 / RANGE)

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import (
-    Effort,
     Interval,
     interval_rows,
     intervals_of,
     measure_draws,
     replicate,
 )
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import PriorFile, units
 from mfd_bayes.calibration.proposal import Evidence, log_evidence, nearest_modes

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import (
     Convergence,
-    Effort,
     autocorrelation_time,
-    find_effort,
     interval_rows,
     intervals_of,
     measure,
     measure_draws,
 )
+from mfd_bayes.calibration.effort import Effort, find_effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.proposal import (

@@ -9,13 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from mfd_bayes.calibration.diagnostics import (
-    COVERAGES,
-    Directions,
-    Effort,
-    Replicas,
-    check_predictive,
-)
+from mfd_bayes.calibration.diagnostics import COVERAGES, Directions, Replicas, check_predictive
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.campaign.schema import complete_tolerances

@@ -24,7 +24,7 @@ from mfd_bayes.population.design import (
     law_unit,
     shapes_of,
 )
-from mfd_bayes.population.mixed_model import LARGEST_K, LawScore
+from mfd_bayes.population.law_scores import LARGEST_K, LawScore
 from mfd_bayes.population.population import Population
 from mfd_bayes.runs.run import Run
 from mfd_bayes.runs.tested_range import FAR

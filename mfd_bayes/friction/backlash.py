@@ -18,8 +18,8 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import expit
 
 from mfd_bayes.friction.model import (
     PIECE,
@@ -116,7 +116,7 @@ class SpringAndBristle:
         if not (a.min(initial=0.0) > LEAST and np.isfinite(force.sum())):
             a_fwd, a_bwd = a - half, -a - half
             force = fwd * np.logaddexp(0.0, a_fwd) - bwd * np.logaddexp(0.0, a_bwd) + k_0 * z
-            slope = k_fwd * expit(a_fwd) + k_bwd * expit(a_bwd) + k_0
+            slope = k_fwd * scipy.special.expit(a_fwd) + k_bwd * scipy.special.expit(a_bwd) + k_0
         return force, slope
 
     def approximate_inverse(self, force: Array, sign: Array) -> Array:

@@ -18,8 +18,8 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import expit
 
 from mfd_bayes.errors import FitError
 from mfd_bayes.friction.model import (
@@ -299,7 +299,7 @@ def gap_of(columns: Mapping[str, Array]) -> dict[str, Any]:
         "ell": ell,
         "early": early,
         "late": late,
-        "build_up": expit(late) * expit(-early),
+        "build_up": scipy.special.expit(late) * scipy.special.expit(-early),
         "jump": (k2 - k3) * d2,
         "after": np.exp(-np.stack([early, late])),
         "sharp": bool(late.max() > FARTHEST),

@@ -15,7 +15,7 @@ from typing import cast
 
 import numpy as np
 
-from mfd_bayes.calibration.diagnostics import find_effort
+from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.priors import PriorFile, load_priors
 from mfd_bayes.calibration.result import Task
 from mfd_bayes.campaign.campaign import Campaign, Test, load_campaign

@@ -40,7 +40,7 @@ from mfd_bayes.population.bands import (
     check_flag,
 )
 from mfd_bayes.population.design import ZERO, TestConditions
-from mfd_bayes.population.mixed_model import LARGEST_K
+from mfd_bayes.population.law_scores import LARGEST_K
 from mfd_bayes.population.population import Residual, slip_force_of, strokes_of
 from mfd_bayes.records.record import checked_window
 from mfd_bayes.records.trace import HYSTERESIS, Trace, check_magnitude, check_trace

@@ -23,8 +23,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import expit
 
 from mfd_bayes.calibration.priors import Prior, PriorFile, known_quantities
 from mfd_bayes.errors import FitError, PriorError, real_number
@@ -161,6 +161,9 @@ def law_unit(name: str, actuation_unit: str) -> str:
 
 # --- settings and design --------------------------------------------------------------------------
 
+# sd of what a quantity that differs between tests may change by, for each e-fold of stroke, and
+# of speed or frequency, outside the tests
+STROKE, RATE = 0.2, 0.1
 SAME_LEVEL = 0.01  # tests whose actuation differs by less than this share are at one level
 ZERO = 1e-3  # share of the largest actuation below which one is zero: what an idle gauge shows
 # what a test may say of the state of its device: decimal years, number of cycles, °C
@@ -632,7 +635,7 @@ class Design:
             for column, name in enumerate(self.laws):
                 if (name, shape) in self.shapes:
                     values = q[:, self.shapes.index((name, shape))]
-                    values = expit(values) if shape == "share" else values
+                    values = scipy.special.expit(values) if shape == "share" else values
                     value[:, column] = np.where(
                         np.isnan(value[:, column]), values, value[:, column]
                     )

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from mfd_bayes.calibration.diagnostics import Convergence, Effort, find_effort, intervals_of
+from mfd_bayes.calibration.diagnostics import Convergence, intervals_of
+from mfd_bayes.calibration.effort import Effort, find_effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import Prior, PriorFile
 from mfd_bayes.calibration.result import TestResult
@@ -45,9 +46,8 @@ from mfd_bayes.population.joint_fit import (
     TestLikelihood,
     fit_jointly,
 )
+from mfd_bayes.population.law_scores import DependenceScore, LawScore
 from mfd_bayes.population.mixed_model import (
-    DependenceScore,
-    LawScore,
     MixedModel,
     StudentTProposal,
     TestGaussians,

@@ -38,12 +38,13 @@ from mfd_bayes.population.design import (
     shape_prior,
     varies,
 )
-from mfd_bayes.store.files import Figure
+from mfd_bayes.population.law_scores import LARGEST_K, DependenceScore, LawScore
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 LARGEST = 12.0  # largest size of a coordinate of h
+COVARIATES = ("velocity", "amplitude")  # that a quantity may follow besides the actuation
 # probability that a quantity of a test is an outlier, and the scatter of outliers over others'
 OUTLIER, WIDER = 0.01, 10.0
 # points of an importance sample of h, the effective number that is enough, and most rounds: of the
@@ -379,37 +380,6 @@ def backward(factor: Array, u: Array) -> Array:
 
 QUADRATURE = 1024  # points at which scatter and shapes are integrated
 FOLDS = 10  # most parts of the tests that are left out in turn to score a covariate
-LARGEST_K = 0.7  # Pareto k above which a score cannot be trusted, and its law is not weighed
-COVARIATES = ("velocity", "amplitude")
-
-
-@dataclass(frozen=True)
-class LawScore:
-    """Score of one law for one quantity."""
-
-    quantity: str
-    law: str
-    elpd: Figure  # sum of log predictive densities of levels given the others, in prior units
-    se: Figure  # standard error of the sum, from the spread of its terms
-    weight: Figure  # stacking weight among the laws; 0 where its score cannot be trusted
-    levels: tuple[Figure, ...]  # the terms of the sum
-    pareto_k: Figure = np.nan  # of the importance weights
-
-    @property
-    def trusted(self) -> bool:
-        """Whether its Pareto k allows to weigh it."""
-        return not self.pareto_k > LARGEST_K
-
-
-@dataclass(frozen=True)
-class DependenceScore:
-    """Score of one quantity that follows a covariate besides the actuation."""
-
-    quantity: str
-    covariate: str  # "velocity", "amplitude", or "" for neither
-    elpd: Figure  # sum of the log predictive densities of tests that were left out, in prior units
-    difference: Figure  # difference from the score of neither, and its standard error
-    se: Figure
 
 
 @dataclass(frozen=True, eq=False)

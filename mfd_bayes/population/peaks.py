@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import special
 
 from mfd_bayes.records.trace import Trace
 
@@ -64,7 +64,7 @@ class PeakExcess:
         The computed peak at the bound lies `spread` from its middle, kip: the scatter of both adds
         up by its squares.
         """
-        excess = special.stdtrit(_freedom(self.tests), probability) * self.scale(speed)
+        excess = scipy.special.stdtrit(_freedom(self.tests), probability) * self.scale(speed)
         change = np.sign(excess) * (np.hypot(spread, excess) - spread)
         return np.asarray(change / np.maximum(self.scale(speed), 1e-300))
 

@@ -32,6 +32,8 @@ from mfd_bayes.errors import FitError, MfdError, NotThereError, StoreError
 from mfd_bayes.friction.model import Model
 from mfd_bayes.population.design import (
     INTERCEPTS,
+    RATE,
+    STROKE,
     TIED,
     WIDER,
     Design,
@@ -48,9 +50,6 @@ from mfd_bayes.store.netcdf import load_arrays, save_arrays
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-# sd of what a quantity that differs between tests may change by, for each e-fold of stroke, and
-# of speed or frequency, outside the tests
-STROKE, RATE = 0.2, 0.1
 # factor of stroke within which a motion repeats a calibrated test, and so may begin as it did
 LIKE = 1.1
 LIKE_STROKES = 0.25  # difference in the share of full strokes up to which motions are of one kind

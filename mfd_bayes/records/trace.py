@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from mfd_bayes.errors import MfdError, RecordError, UnitError, real_number, real_numbers
 from mfd_bayes.units import DAMPER, Axes, parse_quantity, split_quantity
@@ -172,8 +172,8 @@ def cycle_turns(displacement: Array) -> NDArray[np.intp]:
     strokes = np.abs(np.diff(displacement[turns]))
     half = float(np.median(np.diff(turns)[strokes >= 0.5 * strokes.max()]))
     width = 2 * int(np.ceil(1.2 * half)) + 1  # samples
-    stroke = ndimage.maximum_filter1d(displacement, width)
-    stroke -= ndimage.minimum_filter1d(displacement, width)
+    stroke = scipy.ndimage.maximum_filter1d(displacement, width)
+    stroke -= scipy.ndimage.minimum_filter1d(displacement, width)
     smallest = max(SMALLEST_CYCLE * extent, noise)
     return turning_points(displacement, np.maximum(smallest, CYCLE * stroke))
 

@@ -18,12 +18,12 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.campaign.schema import CampaignFile, Id, Role
 from mfd_bayes.campaign.standard import Standard
 from mfd_bayes.errors import CampaignError, StoreError, UnitError, hash_file
 from mfd_bayes.jobs.job import JobState
-from mfd_bayes.population.mixed_model import DependenceScore, LawScore
+from mfd_bayes.population.law_scores import DependenceScore, LawScore
 from mfd_bayes.records.cycles import MeasuredCycles
 from mfd_bayes.runs.findings import Finding
 from mfd_bayes.runs.folder import MANIFEST, POPULATION, check_stored, pooled_of, posterior_of

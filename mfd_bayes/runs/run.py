@@ -6,23 +6,18 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.priors import PriorFile, load_priors
-from mfd_bayes.calibration.result import PlottingBackend, TestResult, load_result
 from mfd_bayes.errors import CampaignError, FitError, NotThereError, StoreError, path_of
 from mfd_bayes.friction.model import Model
 from mfd_bayes.friction.models import file_of, find_model
 from mfd_bayes.jobs.job import JobState
 from mfd_bayes.messages import counted
-from mfd_bayes.population.bands import THIS_TEST, Band, PredictionOptions, Predictor
-from mfd_bayes.population.conditioning import OnlinePredictor, predict_given
 from mfd_bayes.population.design import CONDITIONS, planned_setting, same_level
 from mfd_bayes.population.peaks import NO_EXCESS, SIDES, PeakExcess, Peaks, largest_speed
-from mfd_bayes.population.population import FinalState, Population
 from mfd_bayes.records.cycles import MeasuredCycles
 from mfd_bayes.records.record import NO_ACTUATION
 from mfd_bayes.records.trace import Trace, check_trace
@@ -37,7 +32,6 @@ from mfd_bayes.runs.folder import (
     record_of,
 )
 from mfd_bayes.runs.manifest import Manifest, is_calibrated_model, read_manifest
-from mfd_bayes.runs.test_sequence import NO_GAP, TestSequence, stored_pooled
 from mfd_bayes.runs.tested_range import (
     Extrapolation,
     Range,
@@ -50,6 +44,13 @@ from mfd_bayes.runs.unit_system import UnitSystem, named_system
 from mfd_bayes.store.cards import grid
 from mfd_bayes.store.netcdf import load_trace
 from mfd_bayes.units import actuation_kind, parse_actuation
+
+if TYPE_CHECKING:  # what predicts is loaded when something is predicted
+    from mfd_bayes.calibration.result import PlottingBackend, TestResult
+    from mfd_bayes.population.bands import Band, PredictionOptions, Predictor
+    from mfd_bayes.population.conditioning import OnlinePredictor
+    from mfd_bayes.population.population import FinalState, Population
+    from mfd_bayes.runs.test_sequence import TestSequence
 
 PEAK_DRAWS = 100  # of each test's force, by which the excess of measured peaks is learned
 
@@ -152,6 +153,8 @@ def _read_test(
     backend: PlottingBackend | None,
     name: str,
 ) -> TestResult:
+    from mfd_bayes.calibration.result import load_result
+
     file = posterior_of(name)
     result = load_result(name, check_stored(folder, file, manifest.files), priors, model)
     return replace(result, sha256=manifest.files.get(file, ""), _backend=backend)
@@ -244,12 +247,17 @@ class Run:
     @cached_property
     def predictor(self) -> Predictor:
         """What predicts forces of the device."""
+        from mfd_bayes.calibration.noises import find_noise
+        from mfd_bayes.population.bands import Predictor
+
         noise = find_noise(self.manifest.settings.campaign.noise)
         return Predictor(self.population, self.model, noise)
 
     @cached_property
     def _sequence(self) -> TestSequence:
         """Which tests follow each other without a reset, and where they end."""
+        from mfd_bayes.runs.test_sequence import TestSequence, stored_pooled
+
         pooled = partial(stored_pooled, self.folder, self.manifest, self.population)
         return TestSequence(self.manifest, self.tests, self.held_out, self.predictor, pooled)
 
@@ -271,6 +279,8 @@ class Run:
         These are the forces that new tests are drawn from, to which it is applied. A test's own
         posterior may have another static friction than the device, and is not taken.
         """
+        from mfd_bayes.population.bands import THIS_TEST, PredictionOptions
+
         speeds, excesses, computed = [], [], []
         for name, test in self.tests.items():
             motion, values = replace(test.trace, force=None), self._sequence.values(name)
@@ -380,6 +390,9 @@ class Run:
             When the trace has no actuation, an option is of another type or unknown, or the trace
             has no force in the given window.
         """
+        from mfd_bayes.population.bands import THIS_TEST, PredictionOptions
+        from mfd_bayes.runs.test_sequence import NO_GAP
+
         check_trace(trace, FitError)
         if not self.manifest.axes.actuated:
             trace = replace(trace, actuation=actuation_level(self, NO_ACTUATION))
@@ -397,6 +410,8 @@ class Run:
         if after:
             forecast = self._sequence.begun(forecast, trace, after)
         if condition_on is not None:
+            from mfd_bayes.population.conditioning import predict_given
+
             band = predict_given(self.predictor, trace, forecast, condition_on)
         elif kind == THIS_TEST or test:
             band = self._repeat(trace, forecast, test)
@@ -444,6 +459,8 @@ class Run:
 
     def _repeat(self, trace: Trace, forecast: PredictionOptions, name: str) -> Band:
         """Band of what is known of one calibrated test."""
+        from mfd_bayes.population.bands import THIS_TEST
+
         if forecast.kind != THIS_TEST:
             raise FitError(f"a test ({name!r}) is for the kind this_test, not for {forecast.kind}")
         if name not in self.tests:
@@ -514,6 +531,9 @@ class Run:
         FitError
             When an option is of another type or unknown, or the model has no steps.
         """
+        from mfd_bayes.population.bands import PredictionOptions
+        from mfd_bayes.population.conditioning import OnlinePredictor
+
         planned = {"amplitude": amplitude, "velocity": velocity}
         conditions = {**self.conditions, **(conditions or {})}
         setting = planned_setting(self.population.design.settings, actuation, session, planned)

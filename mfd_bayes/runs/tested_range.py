@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mfd_bayes.population.design import SAME_LEVEL
-from mfd_bayes.population.population import RATE, STROKE
+from mfd_bayes.population.design import RATE, SAME_LEVEL, STROKE
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.unit_system import UnitSystem

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from mfd_bayes.calibration.diagnostics import Effort, autocorrelation_time
+from mfd_bayes.calibration.diagnostics import autocorrelation_time
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import (
     Mixture,

@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.diagnostics import TAIL_SHARE, Convergence, Effort
+from mfd_bayes.calibration.diagnostics import TAIL_SHARE, Convergence
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.errors import StoreError
 from mfd_bayes.evaluation.checks import (

@@ -16,7 +16,7 @@ from mfd_bayes.evaluation.laws import (
 )
 from mfd_bayes.friction.three_stage import ThreeStage
 from mfd_bayes.population.design import LAW_NAMES
-from mfd_bayes.population.mixed_model import LawScore
+from mfd_bayes.population.law_scores import LawScore
 from mfd_bayes.runs.run import open_run
 from mfd_bayes.runs.tested_range import FAR
 from mfd_bayes.runs.unit_system import US

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.evaluation.assessment import LOOP_ESTIMATE, MODES, Check
 from mfd_bayes.evaluation.checks import GROSS, coverage_checks, feature_check
 from mfd_bayes.evaluation.summary import judge, use_of, verdict_sentences

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.noises import find_noise
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.friction.models import find_model

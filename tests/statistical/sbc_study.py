@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import Prior, PriorFile, known_quantities, load_priors
 from mfd_bayes.calibration.sampling import Draws, sample

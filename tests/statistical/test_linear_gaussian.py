@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from mfd_bayes.calibration.diagnostics import Effort
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import Prior, PriorFile
 from mfd_bayes.calibration.sampling import Draws, sample

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from mfd_bayes.calibration.diagnostics import Effort, check_predictive, measure_draws, replicate
+from mfd_bayes.calibration.diagnostics import check_predictive, measure_draws, replicate
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.proposal import find_modes, maximize, nearest_modes
 from mfd_bayes.calibration.sampling import sample, sample_density

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from mfd_bayes.calibration.diagnostics import EFFORTS, Effort
+from mfd_bayes.calibration.effort import EFFORTS, Effort
 from mfd_bayes.records.trace import Trace
 from tests.statistical import sbc_study as sbc
 from tests.statistical import uniformity as uniform

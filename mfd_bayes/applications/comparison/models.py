@@ -12,14 +12,8 @@ from numpy.typing import NDArray
 from scipy import special
 
 from mfd_bayes.calibration.cycles import cycle_log_likelihood, find_cycles
-from mfd_bayes.calibration.diagnostics import (
-    Effort,
-    Interval,
-    intervals_of,
-    measure_draws,
-    psis,
-    tempering,
-)
+from mfd_bayes.calibration.diagnostics import Interval, intervals_of, measure_draws, psis, tempering
+from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.noises import NOISES
 from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import units
