@@ -94,6 +94,23 @@ def find_loops(trace: Trace) -> Loops:
     return Loops(bounds, period, amplitude, middle, energy, offset)
 
 
+def cycles_made(trace: Trace) -> float:
+    """Number of cycles at full stroke that a motion made, with the parts at its ends.
+
+    Ten cycles from zero to zero have nine full loops from turn to turn: their first and last
+    quarters, beside full strokes, count too.
+    """
+    turns, x = trace.cycle_turns, trace.displacement
+    strokes = np.abs(np.diff(x[turns]))
+    if not strokes.size:
+        return 0.0
+    longest = float(strokes.max())
+    full = strokes >= STRONG * longest
+    ends = (full[0], abs(x[turns[0]] - x[0])), (full[-1], abs(x[-1] - x[turns[-1]]))
+    partial = sum(min(way / longest, 1.0) for is_full, way in ends if is_full)
+    return 0.5 * float(np.count_nonzero(full) + partial)
+
+
 def channels_swapped(trace: Trace) -> bool:
     """Whether displacement and force of loops of negative work seem to be each other.
 

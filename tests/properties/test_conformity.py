@@ -24,6 +24,7 @@ from mfd_bayes.campaign.schema import DesignTable
 from mfd_bayes.campaign.standard import read_standard, standard_names
 from mfd_bayes.errors import CampaignError
 from mfd_bayes.records.cycles import measured_cycles, quantities
+from mfd_bayes.records.loops import cycles_made
 from mfd_bayes.records.trace import Trace
 
 MEETS, FAILS, NOT_TESTED = Conformity.MEETS, Conformity.FAILS, Conformity.NOT_TESTED
@@ -49,9 +50,10 @@ def record(amplitude, frequency, scales, slope=0.02, rng=None):
 
 
 def harmonic(name, amplitude, frequency, scales, actuation=1.0, device="a", **place):
-    cycles = measured_cycles(record(amplitude, frequency, scales))
+    trace = record(amplitude, frequency, scales)
+    cycles, made = measured_cycles(trace), cycles_made(trace) - 0.5  # less a quarter at each end
     condition = condition_of(cycles, actuation)
-    return HarmonicTest(name, condition, cycles, None, device, **place)
+    return HarmonicTest(name, condition, cycles, None, device, made=made, **place)
 
 
 def sequence(frequencies=(BASE,), device="a", force=1.0):
@@ -145,6 +147,25 @@ def test_other_frequencies_are_asked_for_where_the_rate_changes_the_properties(c
     assert verdicts(rows_of(tests), "sequence at other") == expected
     assert verdicts(rows_of(sequence()), "sequence at other") == [NOT_TESTED]
     assert verdicts(rows_of(GOOD), "sequence at other") == [MEETS]
+
+
+@pytest.mark.parametrize(("ramp", "count"), [(0, 3), (0, 10), (2, 5)])
+def test_cycles_from_zero_to_zero_are_all_counted(ramp, count):
+    phase = np.arange(200 * (count + 2 * ramp) + 1) / 200
+    growth = np.clip(np.minimum(phase, phase[-1] - phase) / ramp, 0.0, 1.0) if ramp else 1.0
+    trace = Trace.from_arrays(phase / BASE, 2.0 * growth * np.sin(2.0 * np.pi * phase), 1.0)
+    assert cycles_made(trace) == pytest.approx(count, abs=0.55 if ramp else 0.01)
+    assert measured_cycles(replace(trace, force=trace.velocity)).full_stroke.sum() < count + 1
+
+
+@pytest.mark.parametrize("standard", standard_names())
+def test_without_harmonic_tests_nothing_is_met(standard):
+    rows = rows_of([], standard)
+    asked = {
+        requirement.requirement for requirement in read_standard(standard, Path(), "").requirement
+    }
+    assert {row.requirement for row in rows} == asked
+    assert {row.verdict for row in rows} == {NOT_TESTED}
 
 
 def test_two_prototypes_are_asked_for():

@@ -32,8 +32,10 @@ from mfd_bayes.runs.run import Run, prediction_conditions
 from mfd_bayes.units import parse_actuation, parse_quantity
 
 DRAWS = 400  # of the motion of each test
+PARTIAL = 0.1  # of a cycle, that a record may lack at its ends
 DEGREES = 2.0  # °C; tests whose temperatures differ by less are at the same
 NOTHING = float("nan")
+NO_TESTS = "no test is harmonic"
 
 
 class Conformity(StrEnum):
@@ -234,6 +236,10 @@ def _of_cycles(requirement: Requirement, evidence: Evidence) -> Iterable[Conform
     """Each cycle against the mean of its test, or against the third."""
     third = requirement.statistic == "cycle over third"
     fewest, first = (3, 2) if third else (2, 1)
+    if not evidence.tests:
+        for item, limit in _items(requirement):
+            lacking = Conformity.NOT_TESTED
+            yield _rows_of(requirement, item, verdict=lacking, limit=limit, note=NO_TESTS)
     for test in evidence.tests:
         predicted = evidence.predicted.get(test.name, Predicted()).observed
         for item, limit in _items(requirement):
@@ -447,7 +453,7 @@ def missing_steps(requirement: Requirement, evidence: Evidence) -> list[tuple[St
                 same_level(test.condition.actuation, level)
                 and same(test.condition.stroke, amplitude)
                 and (hertz is None or same(test.condition.frequency, hertz))
-                and test.count >= step.cycles
+                and test.made >= step.cycles - PARTIAL
                 for test in evidence.tests
             )
             if not made:
@@ -480,7 +486,8 @@ def rate_change(requirement: Requirement, evidence: Evidence) -> float:
 
 def _sequence(requirement: Requirement, evidence: Evidence) -> Iterable[ConformityRow]:
     """Each step of a sequence, at every level of actuation that was tested."""
-    if reason := _unstated(requirement, evidence):
+    reason = _unstated(requirement, evidence)
+    if reason := reason or ("" if evidence.tests else NO_TESTS):
         yield _plain(requirement, Conformity.NOT_TESTED, reason)
         return
     if requirement.rate_limit is not None:

@@ -13,6 +13,7 @@ from mfd_bayes.errors import CampaignError
 from mfd_bayes.evaluation.properties import measured_of
 from mfd_bayes.population.design import same_level
 from mfd_bayes.records.cycles import DeviceProperty, MeasuredCycles
+from mfd_bayes.records.loops import cycles_made
 from mfd_bayes.records.record import NO_ACTUATION
 from mfd_bayes.records.trace import Trace, parse_sine
 from mfd_bayes.runs.run import Run
@@ -49,6 +50,7 @@ class HarmonicTest:
     device: str = ""
     session: str = ""
     temperature: float = float("nan")  # °C
+    made: float = 0.0  # number of cycles that were made, as `cycles_made` counts them
 
     def values(self, item: DeviceProperty) -> Array:
         """Measured values of the cycles at full stroke, (L,)."""
@@ -120,7 +122,8 @@ def harmonic_tests(run: Run) -> list[HarmonicTest]:
         if condition is not None:
             temperature = settings.conditions[name].get("temperature", float("nan"))
             place = settings.devices[name], run.session(name), temperature
-            tests.append(HarmonicTest(name, condition, cycles, traces[name], *place))
+            made = cycles_made(traces[name])
+            tests.append(HarmonicTest(name, condition, cycles, traces[name], *place, made))
     return tests
 
 
