@@ -10,5 +10,5 @@ cd "$work"
 "$command" demo out | tee "$work/demo.log"
 rm -rf "$here/figures" "$here"/*.{csv,html,json,tex,txt}
 cp -r out/figures out/report.html out/*.{csv,json,tex} "$here/"
-rm "$here/manifest.json"
+rm "$here/manifest.json" "$here/assessment.json"
 sed -n '/Truth against posterior/,$p' demo.log > "$here/truth.txt"
