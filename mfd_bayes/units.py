@@ -209,6 +209,8 @@ def actuation_kind(internal: ActuationUnit) -> str:
 
 def convert(unit: str, target: str) -> float:
     """Factor from one unit to another of the same measure: ``("kip/in", "kN/mm")``."""
+    if unit == target:  # needs no registry, which is slow to build
+        return 1.0
     named = _named(unit)
     parsed, parsed_target = _parse(unit, named), _parse(target, _named(target))
     if parsed.dimensionality != parsed_target.dimensionality:
