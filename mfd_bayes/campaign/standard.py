@@ -44,7 +44,7 @@ Statistic = Literal[
 """What a requirement is about: see `properties.conformity`."""
 
 
-class Step(TomlTable):
+class ProtocolStep(TomlTable):
     """A test that a standard asks for."""
 
     amplitude: Annotated[float, Field(gt=0, le=2)]
@@ -67,7 +67,7 @@ class Requirement(TomlTable):
     statistic: Statistic
     limits: dict[QuantityName, Limit] = Field(default_factory=dict)
     """largest deviation of each quantity, as a share"""
-    steps: Annotated[tuple[Step, ...], Field(max_length=100)] = ()
+    steps: Annotated[tuple[ProtocolStep, ...], Field(max_length=100)] = ()
     rate_limit: Limit | None = None
     """a sequence is asked for only where `rate_quantities` change with the rate by more"""
     rate_quantities: tuple[QuantityName, ...] = ()
@@ -110,7 +110,7 @@ class Standard(TomlTable):
 
 
 _TABLES: Mapping[str, type[TomlTable]] = MappingProxyType(
-    {"": Standard, "requirement": Requirement, "factors": FactorRule, "steps": Step}
+    {"": Standard, "requirement": Requirement, "factors": FactorRule, "steps": ProtocolStep}
 )
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from mfd_bayes.applications.properties.conformity import (
     Conformity,
-    Evidence,
+    DeviceEvidence,
     Predicted,
     conformity,
     summary,
@@ -66,7 +66,7 @@ def sequence(frequencies=(BASE,), device="a", force=1.0):
 
 def rows_of(tests, standard="asce7-22", predicted=None, **design):
     table = {"standard": standard, "T1": f"{T1} s", "mce": f"{MCE} in"} | design
-    evidence = Evidence(tests, DesignTable.model_validate(table), predicted or {})
+    evidence = DeviceEvidence(tests, DesignTable.model_validate(table), predicted or {})
     return conformity(read_standard(standard, Path(), "standard"), evidence)
 
 
@@ -310,7 +310,7 @@ def test_factors_are_composed_as_asce_7_has_them():
     tests = [harmonic("slow", MCE, BASE, [1.0] * 4), harmonic("fast", MCE, 2 * BASE, fast)]
     design = {"lambda_ae": {"min": 0.9, "max": 1.2}, "lambda_spec": {"min": 0.95, "max": 1.1}}
     table = {"standard": "asce7-22", "T1": f"{T1} s", **design}
-    evidence = Evidence(tests, DesignTable.model_validate(table))
+    evidence = DeviceEvidence(tests, DesignTable.model_validate(table))
     standard = read_standard("asce7-22", Path(), "standard")
     rows = property_factors(standard, evidence, [1.0])
     row = next(r for r in rows if r.quantity == "energy")
@@ -320,16 +320,17 @@ def test_factors_are_composed_as_asce_7_has_them():
     assert row.cycles.smallest == pytest.approx(1.0 / first_three, rel=2e-3)
     assert row.speed.largest == pytest.approx(1.05 / means.mean(), rel=2e-3)
     assert row.temperature.tests == 0
-    assert row.lacking == ("temperature",)
     assert row.test_max == pytest.approx(row.cycles.largest * row.speed.largest)
     assert row.composed_max == pytest.approx((1 + 0.75 * 0.2) * row.test_max * 1.1)
     assert row.composed_min == pytest.approx((1 - 0.75 * 0.1) * row.test_min * 0.95)
     assert (row.lambda_max, row.lambda_min) == (row.composed_max, row.composed_min)
     mild = DesignTable.model_validate({"standard": "asce7-22"})
-    steady = property_factors(standard, Evidence(tests[:1], mild), [1.0])[0]
+    steady = property_factors(standard, DeviceEvidence(tests[:1], mild), [1.0])[0]
     assert (steady.composed_max, steady.lambda_max) == (pytest.approx(1.0, abs=1e-3), 1.2)
     assert (steady.composed_min, steady.lambda_min) == (pytest.approx(1.0, abs=1e-3), 0.85)
-    european = property_factors(read_standard("en15129", Path(), ""), Evidence(tests, mild), [1.0])
+    european = property_factors(
+        read_standard("en15129", Path(), ""), DeviceEvidence(tests, mild), [1.0]
+    )
     assert np.isnan(european[0].lambda_max)
 
 

@@ -23,7 +23,7 @@ from mfd_bayes.applications.properties.harmonic import (
     same,
 )
 from mfd_bayes.campaign.schema import DesignTable
-from mfd_bayes.campaign.standard import Requirement, Standard, Step
+from mfd_bayes.campaign.standard import ProtocolStep, Requirement, Standard
 from mfd_bayes.evaluation.measurement import gains_of
 from mfd_bayes.population.design import same_level
 from mfd_bayes.records.cycles import DeviceProperty, cycle_values, quantities
@@ -81,7 +81,7 @@ class Predicted:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class DeviceEvidence:
     """What a standard is compared with: harmonic tests, what is predicted of them, the design.
 
     `words` writes a condition in the reader's units. `follows_temperature` says whether the laws of
@@ -131,7 +131,8 @@ def _alike(test: HarmonicTest, other: HarmonicTest, differing: str) -> bool:
     alike = test.device == other.device and test.session == other.session
     alike &= same_level(a.actuation, b.actuation) and same(a.stroke, b.stroke)
     if differing == "temperature":
-        return alike and same(a.frequency, b.frequency) and bool(np.isfinite(other.temperature))
+        both = np.isfinite(test.temperature) and np.isfinite(other.temperature)
+        return alike and same(a.frequency, b.frequency) and bool(both)
     temperatures = {t.temperature for t in (test, other) if np.isfinite(t.temperature)}
     return alike and len(temperatures) < 2
 
@@ -156,7 +157,7 @@ def predictions(run: Run, tests: Sequence[HarmonicTest]) -> dict[str, Predicted]
     return of_tests
 
 
-def conformity(standard: Standard, evidence: Evidence) -> tuple[ConformityRow, ...]:
+def conformity(standard: Standard, evidence: DeviceEvidence) -> tuple[ConformityRow, ...]:
     """Verdicts on all requirements of a standard, in its order."""
     rows: list[ConformityRow] = []
     for requirement in standard.requirement:
@@ -232,7 +233,7 @@ def _rows_of(requirement: Requirement, item: DeviceProperty, **values: Any) -> C
     )
 
 
-def _of_cycles(requirement: Requirement, evidence: Evidence) -> Iterable[ConformityRow]:
+def _of_cycles(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[ConformityRow]:
     """Each cycle against the mean of its test, or against the third."""
     third = requirement.statistic == "cycle over third"
     fewest, first = (3, 2) if third else (2, 1)
@@ -285,12 +286,12 @@ def _little(test: HarmonicTest, item: DeviceProperty) -> str:
     return f"; it is {share:.0%} of the effective stiffness" if share < 0.2 else ""
 
 
-def _target(requirement: Requirement, evidence: Evidence) -> Iterable[ConformityRow]:
+def _target(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[ConformityRow]:
     return (row for row, _ in _over_target(requirement, evidence))
 
 
 def _over_target(
-    requirement: Requirement, evidence: Evidence
+    requirement: Requirement, evidence: DeviceEvidence
 ) -> Iterable[tuple[ConformityRow, DeviceProperty]]:
     """Mean of each test at the actuation and the displacement of the target over the target."""
     design = evidence.design
@@ -325,7 +326,7 @@ def _over_target(
             yield row, item
 
 
-def _supply(requirement: Requirement, evidence: Evidence) -> Iterable[ConformityRow]:
+def _supply(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[ConformityRow]:
     """Mean of each device over the target, else over the mean of all devices."""
     for row, item in _over_target(requirement, evidence):
         if evidence.design.target_of(item):
@@ -369,7 +370,7 @@ def _same_condition(test: HarmonicTest, other: HarmonicTest) -> bool:
 
 
 def changes(
-    evidence: Evidence, item: DeviceProperty, differing: str
+    evidence: DeviceEvidence, item: DeviceProperty, differing: str
 ) -> list[tuple[list[HarmonicTest], Array, Array]]:
     """Of tests that differ in one condition alone: the tests, each one's mean over that of all.
 
@@ -390,7 +391,7 @@ def changes(
 def _with_condition(differing: str) -> Any:
     """Statistic of the change between tests that differ in one condition alone."""
 
-    def rows(requirement: Requirement, evidence: Evidence) -> Iterable[ConformityRow]:
+    def rows(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[ConformityRow]:
         for item, limit in _items(requirement):
             groups = changes(evidence, item, differing)
             if not groups:
@@ -413,7 +414,7 @@ def _with_condition(differing: str) -> Any:
     return rows
 
 
-def _ageing(requirement: Requirement, evidence: Evidence) -> Iterable[ConformityRow]:
+def _ageing(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[ConformityRow]:
     for item, limit in _items(requirement):
         note = "test a device after artificial ageing"
         yield _rows_of(requirement, item, verdict=Conformity.NOT_TESTED, limit=limit, note=note)
@@ -440,7 +441,9 @@ class Missing:
     cycles: int
 
 
-def missing_steps(requirement: Requirement, evidence: Evidence) -> list[tuple[Step, Missing]]:
+def missing_steps(
+    requirement: Requirement, evidence: DeviceEvidence
+) -> list[tuple[ProtocolStep, Missing]]:
     """Steps of a sequence, each with the levels of actuation at which it was not made."""
     largest, period = evidence.largest, evidence.period
     assert largest is not None
@@ -462,7 +465,7 @@ def missing_steps(requirement: Requirement, evidence: Evidence) -> list[tuple[St
     return steps
 
 
-def _unstated(requirement: Requirement, evidence: Evidence) -> str:
+def _unstated(requirement: Requirement, evidence: DeviceEvidence) -> str:
     """What of the design a sequence needs and is not stated."""
     needed = {"mce": evidence.largest is None}
     needed["T1"] = evidence.period is None and any(step.frequency for step in requirement.steps)
@@ -470,7 +473,7 @@ def _unstated(requirement: Requirement, evidence: Evidence) -> str:
     return f"state {' and '.join(names)} in [design]" if names else ""
 
 
-def rate_change(requirement: Requirement, evidence: Evidence) -> float:
+def rate_change(requirement: Requirement, evidence: DeviceEvidence) -> float:
     """Largest measured change of the quantities with the rate, as a share; NaN if not tested.
 
     It is the largest mean of tests that differ in the frequency alone over the smallest, less 1.
@@ -484,7 +487,7 @@ def rate_change(requirement: Requirement, evidence: Evidence) -> float:
     return max(sizes, default=NOTHING)
 
 
-def _sequence(requirement: Requirement, evidence: Evidence) -> Iterable[ConformityRow]:
+def _sequence(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[ConformityRow]:
     """Each step of a sequence, at every level of actuation that was tested."""
     reason = _unstated(requirement, evidence)
     if reason := reason or ("" if evidence.tests else NO_TESTS):
@@ -511,7 +514,7 @@ def _sequence(requirement: Requirement, evidence: Evidence) -> Iterable[Conformi
         yield _plain(requirement, verdict, note, value=made)
 
 
-def _devices(requirement: Requirement, evidence: Evidence) -> Iterable[ConformityRow]:
+def _devices(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[ConformityRow]:
     """So many devices were tested; one that fails is told by what it fails."""
     count = len({test.device for test in evidence.tests})
     note = f"{count} of {requirement.devices} devices tested"
@@ -519,7 +522,7 @@ def _devices(requirement: Requirement, evidence: Evidence) -> Iterable[Conformit
     yield _plain(requirement, Conformity.NOT_TESTED if lacks else Conformity.MEETS, note)
 
 
-def _production(requirement: Requirement, evidence: Evidence) -> Iterable[ConformityRow]:
+def _production(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[ConformityRow]:
     steps = "; ".join(
         f"{step.cycles} cycles at {step.amplitude:g} of mce" for step in requirement.steps
     )
@@ -531,7 +534,7 @@ def _production(requirement: Requirement, evidence: Evidence) -> Iterable[Confor
     yield _plain(requirement, Conformity.NOT_TESTED, note)
 
 
-_STATISTICS: Mapping[str, Callable[[Requirement, Evidence], Iterable[ConformityRow]]] = {
+_STATISTICS: Mapping[str, Callable[[Requirement, DeviceEvidence], Iterable[ConformityRow]]] = {
     "cycle over mean": _of_cycles,
     "cycle over third": _of_cycles,
     "mean over target": _target,

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mfd_bayes.applications.properties.conformity import Evidence, Predicted, changes
+from mfd_bayes.applications.properties.conformity import DeviceEvidence, Predicted, changes
 from mfd_bayes.applications.properties.harmonic import CYCLES, Array, HarmonicTest
 from mfd_bayes.campaign.schema import DesignTable
 from mfd_bayes.campaign.standard import FactorRule, Standard
@@ -82,15 +82,9 @@ class PropertyFactors:
     lambda_min: float = NOTHING
     lambda_max: float = NOTHING
 
-    @property
-    def lacking(self) -> tuple[str, ...]:
-        """What was not tested, and is taken as 1."""
-        kinds = {"speed": self.speed, "temperature": self.temperature}
-        return tuple(name for name, factor in kinds.items() if not factor.tests)
-
 
 def property_factors(
-    standard: Standard, evidence: Evidence, levels: Iterable[float]
+    standard: Standard, evidence: DeviceEvidence, levels: Iterable[float]
 ) -> tuple[PropertyFactors, ...]:
     """Factors at levels of actuation, ksi or kip, from the harmonic tests there."""
     rows = []
@@ -104,7 +98,7 @@ def property_factors(
 
 
 def _factors(
-    rule: FactorRule | None, evidence: Evidence, item: DeviceProperty, level: float
+    rule: FactorRule | None, evidence: DeviceEvidence, item: DeviceProperty, level: float
 ) -> PropertyFactors:
     cycles = Factor.of(*_of_cycles(evidence, item))
     others = []
@@ -145,7 +139,7 @@ def composed(
     }
 
 
-def _of_cycles(evidence: Evidence, item: DeviceProperty) -> tuple[list[Array], list[Array]]:
+def _of_cycles(evidence: DeviceEvidence, item: DeviceProperty) -> tuple[list[Array], list[Array]]:
     """Each cycle over the nominal value of its test, measured and drawn."""
     measured, draws = [], []
     for test in evidence.tests:

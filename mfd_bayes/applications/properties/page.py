@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from mfd_bayes.applications.properties.conformity import (
     Conformity,
     ConformityRow,
-    Evidence,
+    DeviceEvidence,
     conformity,
     predictions,
     summary,
@@ -159,7 +159,7 @@ class StandardView:
         }
 
 
-def to_compare(run: Run, *, predicted: bool = True) -> Evidence:
+def to_compare(run: Run, *, predicted: bool = True) -> DeviceEvidence:
     """What a run has to compare with a standard; without draws it is quick.
 
     The run must have a design.
@@ -167,7 +167,7 @@ def to_compare(run: Run, *, predicted: bool = True) -> Evidence:
     tests, design = harmonic_tests(run), run.manifest.settings.design
     assert design is not None
     dependence = run.manifest.settings.dependence
-    return Evidence(
+    return DeviceEvidence(
         tests,
         design,
         predictions(run, tests) if predicted else {},

@@ -9,7 +9,7 @@ import numpy as np
 
 from mfd_bayes.applications.properties.conformity import (
     Conformity,
-    Evidence,
+    DeviceEvidence,
     conformity,
     missing_steps,
     rate_change,
@@ -68,7 +68,7 @@ def missing_tests(run: Run, name: str) -> tuple[list[PlannedTest], list[str]]:
     return planned, _others(standard, evidence)
 
 
-def _others(standard: Standard, evidence: Evidence) -> list[str]:
+def _others(standard: Standard, evidence: DeviceEvidence) -> list[str]:
     """What else was not tested: a sentence each."""
     sentences = [
         f"{row.requirement} ({row.clause}): {row.note}"
