@@ -158,7 +158,8 @@ def factor(unit: str, dimension: str, *, of: str = "") -> float:
     the unit: "column 'force_N'".
     """
     if dimension not in DIMENSIONS:
-        return convert(unit, dimension)
+        # a unit that is its own target needs no registry, which is slow to build
+        return 1.0 if unit == dimension else convert(unit, dimension)
     target = DIMENSIONS[dimension]
     if unit == target.unit:
         return 1.0
@@ -209,8 +210,6 @@ def actuation_kind(internal: ActuationUnit) -> str:
 
 def convert(unit: str, target: str) -> float:
     """Factor from one unit to another of the same measure: ``("kip/in", "kN/mm")``."""
-    if unit == target:  # needs no registry, which is slow to build
-        return 1.0
     named = _named(unit)
     parsed, parsed_target = _parse(unit, named), _parse(target, _named(target))
     if parsed.dimensionality != parsed_target.dimensionality:
