@@ -102,7 +102,7 @@ def test_axe_can_find_something(chromium, report, tmp_path):
 def test_units_change_at_a_click_in_tables_sentences_and_plots(chromium, report):
     with Watched(chromium, report) as watched:
         page = watched.page
-        head, cell = page.locator(".properties thead"), page.locator(".properties td").nth(4)
+        head, cell = page.locator(".properties thead"), page.locator(".properties td").nth(6)
         assert "800 psi" in head.inner_text()
         assert cell.inner_text() == "1.00"
         original = page.locator("body").inner_text()
