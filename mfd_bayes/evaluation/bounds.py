@@ -54,7 +54,7 @@ def design_rows(run: Run, trace: Trace, probability: float = 0.95) -> Rows:
     sessions, "another device" a test of a new one, in a new session where there are several. With
     one device the latter is not known.
     """
-    draws = drawn_properties(run, trace, places_of(run))
+    draws = with_gains(run, drawn_properties(run, trace, places_of(run)))
     return bounds_of(draws, probability, f"from {len(run.devices)} devices")
 
 
@@ -64,7 +64,7 @@ def drawn_properties(
     """Draws of the properties of a motion by basis of `BASES`, then by name, (n,) each.
 
     `places` are session and device of the tests. The mean property has the mean excess of
-    measured peaks, the others its scatter too. All have the uncertainty of the instruments' gains.
+    measured peaks, the others its scatter too. All are as the tests' instruments read them.
     Energies of the cycles at full stroke, "energy", are (n, L).
     """
     peaks, axes, properties = run.peaks, run.manifest.axes, {}
@@ -88,13 +88,21 @@ def drawn_properties(
             | {"energy": cycle_energies(trace, band.draws)}
             for band, test in zip(several, quiet, strict=True)
         ]
-        as_read = {
+        properties[basis] = {
             name: np.concatenate([values[name] for values in band_properties])
             for name in band_properties[0]
         }
-        gains = gains_of(run, sum(len(band.draws) for band in several))
-        properties[basis] = gains.applied(as_read)
     return properties
+
+
+def with_gains(
+    run: Run, draws: Mapping[str, Mapping[str, Array]]
+) -> dict[str, Mapping[str, Array]]:
+    """Draws of `drawn_properties` with the uncertainty of the instruments' gains."""
+    return {
+        basis: gains_of(run, len(next(iter(of_basis.values())))).applied(of_basis)
+        for basis, of_basis in draws.items()
+    }
 
 
 def bounds_of(draws: Mapping[str, Mapping[str, Array]], probability: float, note: str = "") -> Rows:

@@ -7,7 +7,13 @@ import pytest
 
 from mfd_bayes import open_run
 from mfd_bayes.campaign.schema import CampaignFile
-from mfd_bayes.evaluation.bounds import bounds_of, design_rows, drawn_properties, places_of
+from mfd_bayes.evaluation.bounds import (
+    bounds_of,
+    design_rows,
+    drawn_properties,
+    places_of,
+    with_gains,
+)
 from mfd_bayes.evaluation.measurement import EXACT, Gains, gains_of, gains_of_another
 from mfd_bayes.evaluation.properties import predicted_rows, property_rows
 from mfd_bayes.runs.resume import with_keys
@@ -124,7 +130,7 @@ def test_bounds_widen_by_their_units_the_nominal_value_stays_and_properties_move
             assert widths[1] == pytest.approx(expected, rel=0.1)
             assert after["upper"] / after["nominal"] > before["upper"] / before["nominal"]  # λ
     # of one draw the load cell is the same
-    draws = [drawn_properties(x, trace, places_of(x)) for x in (run, stated)]
+    draws = [with_gains(x, drawn_properties(x, trace, places_of(x))) for x in (run, stated)]
     ratios = [d["new_test"]["energy_per_cycle"] / d["new_test"]["slip_fwd"] for d in draws]
     np.testing.assert_allclose(*ratios)
 

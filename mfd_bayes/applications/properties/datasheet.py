@@ -23,6 +23,7 @@ from mfd_bayes.evaluation.bounds import (
     drawn_properties,
     places_of,
     sessions_of,
+    with_gains,
 )
 from mfd_bayes.evaluation.properties import Array
 from mfd_bayes.evaluation.views import Datasheet
@@ -100,7 +101,8 @@ def _rows(
         trace = Harmonic(*condition[1:], CYCLES, axes.timed).trace(condition.actuation)
     assert trace is not None  # a run has the motion of each of its tests
     places = dict.fromkeys((test.session, test.device) for test in tests) or places_of(run)
-    draws = drawn_properties(run, trace, list(places))
+    as_read = drawn_properties(run, trace, list(places))
+    draws = with_gains(run, as_read)
     remarks = [] if tests else [d.sentence(run.system) for d in run.extrapolations(trace)]
     head = {
         "condition": label,
@@ -122,6 +124,9 @@ def _rows(
             if cycle and not np.any(np.isfinite(values[BASIS])):
                 continue
             row = bounds(values["mean"], values[BASIS], PROBABILITY)
+            # what was measured is compared with what the same instruments would read
+            read_again = _of_cycle(as_read[BASIS], quantity, cycle)
+            read = bounds(values["mean"], read_again, PROBABILITY)
             other_bounds = bounds(values["mean"], values.get(ANOTHER, np.empty(0)), PROBABILITY)
             rows.append(
                 head
@@ -131,7 +136,7 @@ def _rows(
                     "unit": quantity.unit,
                 }
                 | {"cycle": cycle, **row}
-                | _measured(quantity, cycle, tests, row)
+                | _measured(quantity, cycle, tests, read)
                 | {f"{key}_other": other_bounds[key] for key in ("lower_ratio", "upper_ratio")}
             )
     return rows
