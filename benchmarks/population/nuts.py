@@ -43,6 +43,7 @@ from mfd_bayes.population.exact_sampler import ExactSampler
 MEAN, SD = 0.1, 0.1
 CLOSE = 1e-8  # largest deviation of JAX's log likelihoods, over their size where that exceeds 1
 NOISE_TIME = 0.2  # s
+BLOCK = 100  # draws
 LEVELS = {4: study.LEVELS, 10: (0.5, 0.6, 0.7, 0.8, 1.0, 1.0, 1.2, 1.4, 1.6, 1.6)}
 
 
@@ -219,11 +220,18 @@ class Joint:
 
     def of_nuts(self, draws):
         """Values of NUTS."""
-        unfold = jax.jit(jax.vmap(jax.vmap(lambda u: self.tests(u, *self.population(u))[0])))
+        unfold = jax.jit(jax.vmap(lambda u: self.tests(u, *self.population(u))[0]))
         scatters = np.exp(draws["log_scatter"])
         deviations = np.moveaxis(np.exp(draws["log_deviation"]), -1, 0)
         share = 1.0 / (1.0 + np.exp(-draws["share"]))
-        x = np.asarray(unfold(draws))
+        # in blocks: XLA on one thread waits for ever on all of them at once
+        blocks = [
+            {name: values[chain, i : i + BLOCK] for name, values in draws.items()}
+            for chain in range(share.shape[0])
+            for i in range(0, share.shape[1], BLOCK)
+        ]
+        x = np.concatenate([np.asarray(unfold(block)) for block in blocks])
+        x = x.reshape(*share.shape, *x.shape[1:])
         return self.values(draws["level"], scatters, deviations, share, draws["exponent"], x)
 
     def of_ours(self, result):
