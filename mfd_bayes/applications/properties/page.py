@@ -176,12 +176,12 @@ def to_compare(run: Run, *, predicted: bool = True) -> DeviceEvidence:
     )
 
 
-def standard_view(run: Run, *, predicted: bool = True) -> StandardView | None:
+def standard_view(run: Run) -> StandardView | None:
     """Conformity of a run with the standard of its campaign; None where it names none."""
     standard, design = run.manifest.standard, run.manifest.settings.design
     if standard is None or design is None:
         return None
-    evidence = to_compare(run, predicted=predicted)
+    evidence = to_compare(run)
     factors = property_factors(standard, evidence, levels_of(evidence.tests))
     return StandardView(standard, design, conformity(standard, evidence), factors, run)
 
