@@ -9,7 +9,6 @@ from pathlib import Path
 from mfd_bayes.applications.next_test.advice import AdviceInWords, next_csv
 from mfd_bayes.applications.next_test.next_test import next_test
 from mfd_bayes.applications.next_test.options import NextTestOptions
-from mfd_bayes.applications.properties import print_protocol
 from mfd_bayes.console import print_rows, say, warn
 from mfd_bayes.errors import CampaignError, StoreError, why_no_file
 from mfd_bayes.runs.folder import ADVICE, alone_in, check_outputs
@@ -22,6 +21,8 @@ _LARGEST = 2**20  # bytes of a file of candidates
 def run_next(options: NextTestOptions) -> None:
     """Find which test to make next, and print it; or those that a standard asks for."""
     if options.protocol:
+        from mfd_bayes.applications.properties import print_protocol
+
         run = open_run(options.out, trust=options.trust_model)
         print_protocol(replace(run, units=options.units), options.protocol)
         return

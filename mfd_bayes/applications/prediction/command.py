@@ -11,7 +11,6 @@ import numpy as np
 
 from mfd_bayes.applications.prediction.comparison import Compared, compare
 from mfd_bayes.applications.prediction.options import PredictOptions
-from mfd_bayes.applications.properties import standard_bounds
 from mfd_bayes.campaign.guesses import guess_columns
 from mfd_bayes.campaign.schema import CampaignFile
 from mfd_bayes.console import figures, print_rows, say, warn
@@ -138,6 +137,8 @@ def predict(options: PredictOptions) -> Answer:
         remarks += design_warnings(run)
         design = design_rows(run, trace, options.probability)
         if run.manifest.standard is not None:
+            from mfd_bayes.applications.properties import standard_bounds
+
             design = (*design, *standard_bounds(run, trace.reference_actuation, design))
     band = replace(band, remarks=(*band.remarks, *remarks))
     compared, judged, disagrees = None, "", False
