@@ -527,7 +527,7 @@ def _target_name(name: object) -> object:
     return name if cycles.properties_called(str(name)) else _quantity_name(name)
 
 
-def _target(target: object, info: ValidationInfo) -> object:
+def _target(target: object) -> object:
     """A value with its unit, or a table of it and its tolerance."""
     return {"value": target} if isinstance(target, str | int | float) else target
 

@@ -219,6 +219,11 @@ def test_a_supply_is_compared_with_targets_or_with_all_devices():
     assert set(verdicts(rows, "supply", "effective_stiffness")) == {FAILS}
     assert set(verdicts(rows_of(GOOD, "en15129"), "supply", "effective_stiffness")) == {MEETS}
     assert set(verdicts(rows_of(sequence(), "en15129"), "supply")) == {NOT_TESTED}
+    apart = [
+        harmonic("a", MCE, BASE, [1.0] * 3),
+        harmonic("b", MCE, 2 * BASE, [1.4] * 3, device="b"),
+    ]
+    assert set(verdicts(rows_of(apart, "en15129"), "supply")) == {NOT_TESTED}  # nothing is alike
     stiffness = {"effective_stiffness": "0.52 kip/in"}
     rows = rows_of(sequence(), "en15129", target=stiffness)
     assert set(verdicts(rows, "supply", "effective_stiffness")) == {MEETS}

@@ -107,9 +107,9 @@ def _on_parameters(
     ends = []
     for end in (0, 1):
         of_slip = {
-            name: factors[f"slip_{name.rpartition('_')[2]}"][end]
+            name: factors[slip][end]
             for name in model.slip_forces
-            if f"slip_{name.rpartition('_')[2]}" in factors
+            if (slip := f"slip_{name.rpartition('_')[2]}") in factors
         }
         of_stiffness = {
             q.name: factors["effective_stiffness"][end]
@@ -176,10 +176,8 @@ def respond(
     dampers = draw_dampers(run.population, model, built, kind, draws, seed)
     if dampers.count and (model.slip_forces or model.laws):
         bounds = bound_dampers(run.population, model, built, dampers, seed)
-        factors = {
-            device.level: _on_parameters(model, design_factors(run, device.level))
-            for device in built.devices
-        }
+        levels = {device.level for device in built.devices}
+        factors = {level: _on_parameters(model, design_factors(run, level)) for level in levels}
         if all(map(any, factors.values())):
             ends = bound_dampers(run.population, model, built, dampers, seed, factors)
             bounds |= dict(zip(STANDARD, ends.values(), strict=True))

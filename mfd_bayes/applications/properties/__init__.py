@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mfd_bayes.applications.properties.design import design_factors, standard_bounds
-    from mfd_bayes.applications.properties.protocol import missing_tests, print_protocol
+    from mfd_bayes.applications.properties.protocol import print_protocol
 
-__all__ = ["design_factors", "missing_tests", "print_protocol", "standard_bounds"]
+__all__ = ["design_factors", "print_protocol", "standard_bounds"]
 
 _MODULES = {
     "design_factors": "design",
     "standard_bounds": "design",
-    "missing_tests": "protocol",
     "print_protocol": "protocol",
 }
 

@@ -104,6 +104,10 @@ class DeviceEvidence:
         """Largest displacement of the device from its middle, in."""
         return parse_quantity(self.design.mce, "displacement") if self.design.mce else None
 
+    def observed(self, test: HarmonicTest, item: DeviceProperty) -> Array | None:
+        """Draws of a property in each cycle of a measurement of a test, (n, L); None of none."""
+        return self.predicted.get(test.name, Predicted()).observed.get(item.key)
+
     def groups(self, differing: str) -> list[list[HarmonicTest]]:
         """Tests that differ in the "frequency" or in the "temperature" alone."""
         groups: list[list[HarmonicTest]] = []
@@ -139,7 +143,7 @@ def _alike(test: HarmonicTest, other: HarmonicTest, differing: str) -> bool:
 
 def predictions(run: Run, tests: Sequence[HarmonicTest]) -> dict[str, Predicted]:
     """Draws of the motion of each test of a run, by the test's name."""
-    of_tests = {}
+    of_tests, gains = {}, gains_of(run, DRAWS)
     for test in tests:
         assert test.trace is not None  # of a run, which has the motion of every test
         motion = replace(test.trace, force=None)
@@ -149,7 +153,6 @@ def predictions(run: Run, tests: Sequence[HarmonicTest]) -> dict[str, Predicted]
             kind: cycle_values(motion, run.predict(motion, kind, **how).draws)
             for kind in ("observation", "mean")
         }
-        gains = gains_of(run, DRAWS)
         of_tests[test.name] = Predicted(
             gains.applied({key: each[:, strong] for key, each in values["observation"].items()}),
             {key: each[:, strong].mean(axis=1) for key, each in values["mean"].items()},
@@ -171,12 +174,12 @@ def summary(rows: Iterable[ConformityRow]) -> tuple[ConformityRow, ...]:
     A test that does not show a quantity counts only where none does. The steps of a sequence are
     one row: how many were made, and the first that was not.
     """
-    groups: dict[tuple[str, str], list[ConformityRow]] = {}
+    groups: dict[tuple[str, str, str], list[ConformityRow]] = {}
     for row in rows:
         if not row.cycle:
-            groups.setdefault((row.requirement, row.quantity), []).append(row)
+            groups.setdefault((row.clause, row.requirement, row.quantity), []).append(row)
     worst = []
-    for (_, quantity), group in groups.items():
+    for (*_, quantity), group in groups.items():
         if not quantity:
             lacking = [row for row in group if row.verdict != Conformity.MEETS]
             row = (lacking or group)[0]
@@ -194,11 +197,14 @@ def summary(rows: Iterable[ConformityRow]) -> tuple[ConformityRow, ...]:
 # --- the statistics
 
 
-def deviations(values: Array, statistic: str) -> Array:
-    """Deviation of each cycle, (…, L), from the mean of the test, or (…, L − 1) from the third."""
-    if statistic == "cycle over third":
-        return np.asarray(values[..., 1:] / values[..., 2:3] - 1.0)
+def over_mean(values: Array) -> Array:
+    """Deviation of each value, (…, L), from their mean, as a share."""
     return np.asarray(values / values.mean(axis=-1, keepdims=True) - 1.0)
+
+
+def over_third(values: Array) -> Array:
+    """Deviation of each cycle from the second on, (…, L − 1), from the third, as a share."""
+    return np.asarray(values[..., 1:] / values[..., 2:3] - 1.0)
 
 
 def _items(requirement: Requirement) -> Iterable[tuple[DeviceProperty, float]]:
@@ -223,26 +229,26 @@ def _share_within(draws: Array, limit: float) -> float:
     return float(np.mean(np.all(np.abs(flat[usable]) <= limit, axis=1)))
 
 
-def _rows_of(requirement: Requirement, item: DeviceProperty, **values: Any) -> ConformityRow:
-    return ConformityRow(
-        clause=requirement.clause,
-        requirement=requirement.requirement,
-        quantity=item.quantity,
-        direction=item.direction,
-        **values,
-    )
+def _row(requirement: Requirement, **values: Any) -> ConformityRow:
+    return ConformityRow(clause=requirement.clause, requirement=requirement.requirement, **values)
+
+
+def _row_of(requirement: Requirement, item: DeviceProperty, **values: Any) -> ConformityRow:
+    return _row(requirement, quantity=item.quantity, direction=item.direction, **values)
+
+
+def _untested(requirement: Requirement, item: DeviceProperty, **values: Any) -> ConformityRow:
+    return _row_of(requirement, item, verdict=Conformity.NOT_TESTED, **values)
 
 
 def _of_cycles(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[ConformityRow]:
     """Each cycle against the mean of its test, or against the third."""
     third = requirement.statistic == "cycle over third"
-    fewest, first = (3, 2) if third else (2, 1)
+    fewest, first, deviations = (3, 2, over_third) if third else (2, 1, over_mean)
     if not evidence.tests:
         for item, limit in _items(requirement):
-            lacking = Conformity.NOT_TESTED
-            yield _rows_of(requirement, item, verdict=lacking, limit=limit, note=NO_TESTS)
+            yield _untested(requirement, item, limit=limit, note=NO_TESTS)
     for test in evidence.tests:
-        predicted = evidence.predicted.get(test.name, Predicted()).observed
         for item, limit in _items(requirement):
             row: dict[str, Any] = {"test": test.name, "limit": limit}
             values = test.values(item)
@@ -250,17 +256,17 @@ def _of_cycles(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[C
                 note = f"{values.size} full cycles, {fewest} are needed"
                 if values.size >= fewest:
                     note = "the record does not show it in every cycle"
-                yield _rows_of(requirement, item, verdict=Conformity.NOT_TESTED, note=note, **row)
+                yield _untested(requirement, item, note=note, **row)
                 continue
-            each, draws = deviations(values, requirement.statistic), predicted.get(item.key)
+            each, draws = deviations(values), evidence.observed(test, item)
             drawn = np.full((1, each.size), NOTHING)
             if draws is not None and draws.shape[1] == values.size:
-                drawn = deviations(draws, requirement.statistic)
+                drawn = deviations(draws)
             worst = int(np.abs(each).argmax())
             note = f"cycle {worst + first} of {values.size}"
             if item.name == "post_slip_stiffness":
                 note += _little(test, item)
-            yield _rows_of(
+            yield _row_of(
                 *(requirement, item),
                 verdict=_verdict(each[worst], limit),
                 value=float(each[worst]),
@@ -269,7 +275,7 @@ def _of_cycles(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[C
                 **row,
             )
             for k, value in enumerate(each.tolist()):
-                yield _rows_of(
+                yield _row_of(
                     *(requirement, item),
                     verdict=_verdict(value, limit),
                     cycle=k + first,
@@ -307,15 +313,14 @@ def _over_target(
             note = f"state target.{item.quantity} in [design]"
             if target is not None:
                 note = "no test at the actuation and the displacement of the target"
-            lacking = Conformity.NOT_TESTED
-            yield _rows_of(requirement, item, verdict=lacking, limit=limit, note=note), item
+            yield _untested(requirement, item, limit=limit, note=note), item
             continue
         limit, value = target.tolerance or limit, target.internal(item.unit)
         for test in tests:
             ratio = float(test.values(item).mean()) / value - 1.0
-            draws = evidence.predicted.get(test.name, Predicted()).observed.get(item.key)
+            draws = evidence.observed(test, item)
             means = np.full(1, NOTHING) if draws is None else draws.mean(axis=1) / value - 1.0
-            row = _rows_of(
+            row = _row_of(
                 *(requirement, item),
                 verdict=_verdict(ratio, limit),
                 test=test.name,
@@ -336,21 +341,19 @@ def _supply(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[Conf
             continue
         by_device: dict[str, list[float]] = {}
         for test in evidence.tests:
-            others = [
-                float(other.values(item).mean())
-                for other in evidence.tests
-                if _same_condition(test, other)
-            ]
-            by_device.setdefault(test.device, []).append(
-                float(test.values(item).mean()) / float(np.mean(others)) - 1.0
-            )
+            alike = [other for other in evidence.tests if _same_condition(test, other)]
+            if len({other.device for other in alike}) < 2:
+                continue  # a device alone does not deviate from itself
+            mean = float(np.mean([other.values(item).mean() for other in alike]))
+            share = float(test.values(item).mean()) / mean - 1.0
+            by_device.setdefault(test.device, []).append(share)
         if len(by_device) < 2:
-            note = f"state target.{item.quantity} in [design], or test a second device"
-            yield _rows_of(requirement, item, verdict=Conformity.NOT_TESTED, limit=limit, note=note)
+            note = f"state target.{item.quantity} in [design], or test two devices alike"
+            yield _untested(requirement, item, limit=limit, note=note)
             continue
         for device, shares in by_device.items():
             value = float(np.mean(shares))
-            yield _rows_of(
+            yield _row_of(
                 *(requirement, item),
                 verdict=_verdict(value, limit),
                 test=device or "(no name)",
@@ -384,7 +387,7 @@ def changes(
         draws = np.full((1, len(group)), NOTHING)
         if knows and all(each is not None for each in drawn):
             draws = np.stack([np.asarray(each) for each in drawn], axis=1)
-        of_groups.append((group, deviations(means, ""), deviations(draws, "")))
+        of_groups.append((group, over_mean(means), over_mean(draws)))
     return of_groups
 
 
@@ -396,12 +399,10 @@ def _with_condition(differing: str) -> Any:
             groups = changes(evidence, item, differing)
             if not groups:
                 note = f"no two tests differ in the {differing} alone: make one again at another"
-                yield _rows_of(
-                    requirement, item, verdict=Conformity.NOT_TESTED, limit=limit, note=note
-                )
+                yield _untested(requirement, item, limit=limit, note=note)
             for group, measured, draws in groups:
                 worst = int(np.abs(measured).argmax())
-                yield _rows_of(
+                yield _row_of(
                     *(requirement, item),
                     verdict=_verdict(float(measured[worst]), limit),
                     test=group[worst].name,
@@ -417,34 +418,16 @@ def _with_condition(differing: str) -> Any:
 def _ageing(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[ConformityRow]:
     for item, limit in _items(requirement):
         note = "test a device after artificial ageing"
-        yield _rows_of(requirement, item, verdict=Conformity.NOT_TESTED, limit=limit, note=note)
-
-
-def _plain(
-    requirement: Requirement, verdict: Conformity, note: str, **values: Any
-) -> ConformityRow:
-    return ConformityRow(
-        clause=requirement.clause,
-        requirement=requirement.requirement,
-        verdict=verdict,
-        note=note,
-        **values,
-    )
-
-
-@dataclass(frozen=True)
-class Missing:
-    """A test that a standard asks for and that was not made at some levels of actuation."""
-
-    clause: str
-    conditions: tuple[Condition, ...]  # with a frequency of NaN for any
-    cycles: int
+        yield _untested(requirement, item, limit=limit, note=note)
 
 
 def missing_steps(
     requirement: Requirement, evidence: DeviceEvidence
-) -> list[tuple[ProtocolStep, Missing]]:
-    """Steps of a sequence, each with the levels of actuation at which it was not made."""
+) -> list[tuple[ProtocolStep, list[Condition]]]:
+    """Steps of a sequence, each with the conditions under which it was not made.
+
+    A frequency of NaN is any.
+    """
     largest, period = evidence.largest, evidence.period
     assert largest is not None
     steps = []
@@ -461,7 +444,7 @@ def missing_steps(
             )
             if not made:
                 lacking.append(Condition(level, amplitude, NOTHING if hertz is None else hertz))
-        steps.append((step, Missing(requirement.clause, tuple(lacking), step.cycles)))
+        steps.append((step, lacking))
     return steps
 
 
@@ -491,7 +474,7 @@ def _sequence(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[Co
     """Each step of a sequence, at every level of actuation that was tested."""
     reason = _unstated(requirement, evidence)
     if reason := reason or ("" if evidence.tests else NO_TESTS):
-        yield _plain(requirement, Conformity.NOT_TESTED, reason)
+        yield _row(requirement, verdict=Conformity.NOT_TESTED, note=reason)
         return
     if requirement.rate_limit is not None:
         change = rate_change(requirement, evidence)
@@ -499,27 +482,28 @@ def _sequence(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[Co
             verdict, note = Conformity.MEETS, f"not asked for: the largest change is {change:.1%}"
             if not np.isfinite(change):
                 verdict, note = Conformity.NOT_TESTED, "no two tests differ in the frequency alone"
-            yield _plain(requirement, verdict, note, value=change, limit=requirement.rate_limit)
+            limit = requirement.rate_limit
+            yield _row(requirement, verdict=verdict, note=note, value=change, limit=limit)
             return
     levels = len(levels_of(evidence.tests))
     for step, missing in missing_steps(requirement, evidence):
         words = f"{step.amplitude:g} of mce, {step.cycles} cycles"
         words += f", {step.frequency}" if step.frequency else ""
         verdict, note = Conformity.MEETS, words
-        if missing.conditions:
+        if missing:
             verdict = Conformity.NOT_TESTED
-            note = f"{words}: missing at {len(missing.conditions)} of {levels} levels, first "
-            note += evidence.words(missing.conditions[0])
-        made = 1.0 - len(missing.conditions) / levels if levels else 0.0
-        yield _plain(requirement, verdict, note, value=made)
+            note = f"{words}: missing at {len(missing)} of {levels} levels, first "
+            note += evidence.words(missing[0])
+        made = 1.0 - len(missing) / levels
+        yield _row(requirement, verdict=verdict, note=note, value=made)
 
 
 def _devices(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[ConformityRow]:
     """So many devices were tested; one that fails is told by what it fails."""
     count = len({test.device for test in evidence.tests})
     note = f"{count} of {requirement.devices} devices tested"
-    lacks = count < requirement.devices
-    yield _plain(requirement, Conformity.NOT_TESTED if lacks else Conformity.MEETS, note)
+    verdict = Conformity.MEETS if count >= requirement.devices else Conformity.NOT_TESTED
+    yield _row(requirement, verdict=verdict, note=note)
 
 
 def _production(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[ConformityRow]:
@@ -531,7 +515,7 @@ def _production(requirement: Requirement, evidence: DeviceEvidence) -> Iterable[
     )
     number = f", {requirement.devices} at least" if requirement.devices else ""
     note = f"test {share} of the supply{number} ({steps}), and compare: mfd-bayes accept"
-    yield _plain(requirement, Conformity.NOT_TESTED, note)
+    yield _row(requirement, verdict=Conformity.NOT_TESTED, note=note)
 
 
 _STATISTICS: Mapping[str, Callable[[Requirement, DeviceEvidence], Iterable[ConformityRow]]] = {

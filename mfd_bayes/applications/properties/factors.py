@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mfd_bayes.applications.properties.conformity import DeviceEvidence, Predicted, changes
+from mfd_bayes.applications.properties.conformity import DeviceEvidence, changes
 from mfd_bayes.applications.properties.harmonic import CYCLES, Array, HarmonicTest
 from mfd_bayes.campaign.schema import DesignTable
 from mfd_bayes.campaign.standard import FactorRule, Standard
@@ -108,7 +108,7 @@ def _factors(
     kinds = (cycles, *others)
     smallest = float(np.prod([kind.smallest for kind in kinds]))
     largest = float(np.prod([kind.largest for kind in kinds]))
-    row = PropertyFactors(
+    return PropertyFactors(
         actuation=level,
         quantity=item.quantity,
         direction=item.direction,
@@ -119,7 +119,6 @@ def _factors(
         test_max=largest,
         **composed(rule, evidence.design, smallest, largest),
     )
-    return row
 
 
 def composed(
@@ -147,7 +146,7 @@ def _of_cycles(evidence: DeviceEvidence, item: DeviceProperty) -> tuple[list[Arr
         if test.count < 2 or not np.all(np.isfinite(values)):
             continue
         measured.append(over_nominal(values))
-        drawn = evidence.predicted.get(test.name, Predicted()).observed.get(item.key)
+        drawn = evidence.observed(test, item)
         draws.append(np.full((1, 1), NOTHING) if drawn is None else over_nominal(drawn))
     return measured, draws
 

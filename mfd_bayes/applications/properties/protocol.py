@@ -64,7 +64,7 @@ def missing_tests(run: Run, name: str) -> tuple[list[PlannedTest], list[str]]:
         if limit is not None and rate_change(requirement, evidence) <= limit:
             continue
         for step, missing in missing_steps(requirement, evidence):
-            planned += [PlannedTest(requirement.clause, c, step.cycles) for c in missing.conditions]
+            planned += [PlannedTest(requirement.clause, c, step.cycles) for c in missing]
     return planned, _others(standard, evidence)
 
 
