@@ -129,9 +129,9 @@ def _write_population(path, priors, names, settings, rng):
     share, exponent = design.law_shapes(h[:, begin:], choice)
     draws = {"h": h[:, :begin], "z": 0.1 * rng.normal(size=(12, design.quantity.size))}
     draws |= {"share": share, "exponent": exponent}
+    draws["knots"] = 0.01 * rng.normal(size=(12, 2 * KNOTS))
     watched = np.full(h.shape[1] + design.tabled.size, 500.0)
     zeros = np.zeros(2 * KNOTS)
-    learned = 0.01 * rng.normal(size=zeros.size), 1e-4 * np.eye(zeros.size), zeros
     population = Population(
         design=design,
         draws=LawDraws(**{name: values.reshape(2, 6, -1) for name, values in draws.items()}),
@@ -139,7 +139,7 @@ def _write_population(path, priors, names, settings, rng):
         law_weights={name: {law: 1.0} for name, law in design.laws.items()},
         alternatives=LawDraws(**draws),
         alternative_weight=np.full(12, 1.0 / 12.0),
-        residual=Residual(TravelBasis(1.0, 2.0), *learned, 1.0, 0.3, 0.2, 0.01, 0.01),
+        residual=Residual(TravelBasis(1.0, 2.0), zeros, zeros, 1.0, 0.3, 0.2, 0.01, 0.01),
         starts=InitialGapPrior(),
         priors=priors.parameters,
         actuation_unit="ksi",

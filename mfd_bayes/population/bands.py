@@ -292,7 +292,6 @@ class Predictor:
         numbers = population.draw_numbers(n, grid.size, rng)
         scatter = forecast.kind != "mean"
         draws = self.sample_conditional(trace, setting, index, numbers, grid, scatter=scatter, x=x)
-        draws = replace(draws, knots=population.residual.draw_knots(rng, n))
         if forecast.before is None or not self.model.has_gap:
             return draws
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -313,7 +312,7 @@ class Predictor:
         x: Array | None = None,
         motion: Trace | None = None,
     ) -> PredictiveDraws:
-        """Tests under a motion, with deviations on a grid of actuations (G,); δ is at its mean.
+        """Tests under a motion, with deviations on a grid of actuations (G,).
 
         `x` (n, d) are their coordinates where these are given, and `motion` is the whole motion
         where `trace` is a part of it.
@@ -331,10 +330,7 @@ class Predictor:
         if trace.varying:
             history = np.asarray(trace.actuation)
             scales = population.scales(self.model, history, index, level, effects)
-        mean = population.residual.mean
-        return PredictiveDraws(
-            *contributions, unshared, scales, np.broadcast_to(mean, (len(index), mean.size))
-        )
+        return PredictiveDraws(*contributions, unshared, scales, population.knots(index))
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def to_band(

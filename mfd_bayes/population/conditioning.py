@@ -181,7 +181,7 @@ class PartialTest:
         quiet = np.abs(measured) < QUIET * np.median(slip)
         unknown = ~np.any(functions, axis=1) & quiet
         shape[unknown] = min(float(np.exp(residual.log_shape.min())), 1.0)
-        discrepancy = np.outer(slip / residual.slip_force, functions[rows] @ residual.mean)
+        discrepancy = residual.discrepancy(motion, slip, draws.knots)[:, rows]
         residuals = measured[rows] - force - discrepancy - values["offset"][:, None]
         residuals = residuals / shape[rows]
         residuals = np.where(np.isfinite(residuals), residuals, 1e6)
@@ -366,8 +366,7 @@ def given_band(
     samples: int = 0,
 ) -> Band:
     """Band of particles that took a part in: of all samples of a motion, or of so many last."""
-    knots = test.predictor.population.residual.draw_knots(rng, len(p.draw))
-    draws = replace(test.sample_conditional(p, trace), knots=knots)
+    draws = test.sample_conditional(p, trace)
     source = f"population laws with scatter, and {summary.sentence}"
     band = test.predictor.to_band(trace, forecast, draws, rng, source, slice(-samples, None))
     return replace(band, conditioning=summary, remarks=(*band.remarks, *summary.remarks))
@@ -446,13 +445,13 @@ class OnlinePredictor:
         population, self._level = predictor.population, setting.actuation
         self.complete = lambda band, motion: band
         self._predictor, self._forecast, self._may_refresh = predictor, forecast, refresh
-        self._residual, self._model = population.residual, predictor.model
+        self._model = predictor.model
         tested = [test.actuation for test in population.design.settings]
         self._zero = ZERO * max(tested)
         reached = [self._level * way for way in EITHER_WAY] + [p for p in tested if p > 0.0]
         self._test = PartialTest(predictor, setting, population.grid(self._level, reached))
         self._rng = np.random.default_rng(forecast.seed)
-        self._step = usual_step(self._residual, setting)
+        self._step = usual_step(population.residual, setting)
         self._hysteresis = HYSTERESIS * setting.covariates["amplitude"]
         # time, displacement, actuation and force: measured, and means of complete blocks
         self._waiting, self._rows, self._size = np.empty((4, 0)), np.empty((4, 0)), 0
@@ -618,20 +617,7 @@ class OnlinePredictor:
         weights cannot be trusted, `refresh` comes first.
         """
         log_weights, _ = self._weights(trusted=True)
-        values, residual = self._values_of(self._particles), self._residual
-        draws, slip = properties(self._model, values), slip_force_of(self._model, values)
-        # the force tells the sum of slip force and discrepancy: what is not known of the
-        # discrepancy, which all tests of the device share, is not known of the slip force either
-        knots = residual.draw_knots(self._rng, len(slip)) - residual.mean
-        if self._rows.shape[1] >= SAMPLES:
-            force, functions = self._rows[3], residual.basis(self._trace(self._rows))
-            for name, side in zip(self._model.slip_forces, (1.0, -1.0), strict=False):
-                sliding = side * force > 0.5 * np.median(slip)
-                if sliding.any():
-                    correction = (
-                        slip / residual.slip_force * (knots @ functions[sliding].mean(axis=0))
-                    )
-                    draws[name] = draws[name] - side * correction
+        draws = properties(self._model, self._values_of(self._particles))
         weights = np.exp(log_weights - log_weights.max())
         unit_of, estimates = {**units(self._model), "slip_to_slip": "in"}, {}
         for name, column in draws.items():

@@ -187,7 +187,13 @@ def _inferred(
         sampler = ExactSampler(fit, approximate, unpooled, choice, rng, evaluate)
         draws = sampler.run(effort.r_hat, effort.ess, limit, effort.kept // 4, tell)
 
-    # the population
+    # the population: δ is drawn from its Gaussian, and levels and tests follow it (delta method)
+    knots = rng.standard_normal((*draws.h.shape[:2], len(fit.knot_root))) @ fit.knot_root.T
+    moved = np.einsum("jik,cnk->cnji", fit.response, knots)
+    knots += fit.residual.mean
+    levels = np.zeros_like(draws.z)
+    levels[..., :d] = moved[..., :d].mean(axis=2)
+    draws = draws._replace(x=draws.x + moved, z=draws.z + levels)
     shape, v = draws.h.shape[:2], mixed.f + mixed.e
     laws = np.repeat(choice.reshape(CHAINS, walkers, -1), shape[1] // walkers, axis=1)
     shapes = mixed.shapes(
@@ -196,13 +202,15 @@ def _inferred(
     share, exponent = (values.reshape(laws.shape) for values in shapes)
     posterior = likelihoods[0].posterior
     slips = [n for n in design.laws if n not in {"sigma0"} & posterior.model.standard_names]
-    alternatives, alternative_weight = _alternatives(mixed, slips, weights, gaussians, rng)
+    alternatives, alternative_weight = _alternatives(
+        mixed, slips, weights, gaussians, knots.reshape(-1, knots.shape[-1]), rng
+    )
     prior_of = dict(posterior.priors)
     if posterior.model.has_gap and "start" in priors.parameters:
         prior_of.setdefault("start", priors.parameters["start"])
     population = Population(
         design=design,
-        draws=LawDraws(draws.h[..., :v], draws.z, share, exponent),
+        draws=LawDraws(draws.h[..., :v], draws.z, share, exponent, knots),
         choice=laws,
         law_weights=weights,
         alternatives=alternatives,
@@ -307,9 +315,13 @@ def _alternatives(
     slips: Sequence[str],
     weights: Mapping[str, Mapping[str, float]],
     gaussians: TestGaussians,
+    knots: Array,
     rng: np.random.Generator,
 ) -> tuple[LawDraws, Array]:
-    """Draws under all laws, for actuations beyond the tested levels, and their weights."""
+    """Draws under all laws, for actuations beyond the tested levels, and their weights.
+
+    Draws of the discrepancy at its `knots` (m, K) are taken as they come.
+    """
     design = mixed.design
     several_levels = len(levels_of([s for s in design.settings if s.actuation > 0])) >= LEVELS
     considered = design.considered(COMPARE) if several_levels else ("affine", "power")
@@ -336,7 +348,9 @@ def _alternatives(
         )
         blocks = np.array_split(h, max(n // 32, 1))  # to bound the memory
         z = np.concatenate([mixed_model.marginal(block, choice)[1].draw(rng) for block in blocks])
-        draws.append((h[:, : mixed_model.f + mixed_model.e], z, *mixed_model.shapes(h, choice)))
+        shapes = mixed_model.shapes(h, choice)
+        of_law = h[:, : mixed_model.f + mixed_model.e], z, *shapes, rng.choice(knots, size=n)
+        draws.append(of_law)
         weight.append(np.full(n, w / n))
     return LawDraws(*map(np.concatenate, zip(*draws, strict=True))), np.concatenate(weight)
 

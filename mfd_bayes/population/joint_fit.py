@@ -17,7 +17,8 @@ Marquardt. Discrepancy and noise are learned first, by expectation-maximisation 
 without a discrepancy leaves over (a module of its own: Liu, Bayarri and Berger, 2009). With these
 given, the fit goes on to the posterior mode under the magnitude-adjusted likelihood, in which
 samples count as many as are independent (Ribatet, Cooley and Davison, 2012). There the Gaussians
-of the tests are taken (Laplace).
+of the tests are taken (Laplace), and how they follow δ: δ is confounded with slip force and
+stiffness, which would seem to be known too well if δ were taken as certain.
 """
 
 from __future__ import annotations
@@ -116,7 +117,7 @@ class TestLikelihood:
         force = self.posterior.force(values, scales=self.scales(x) or None)
         measured = np.asarray(self.posterior.trace.force)
         residual = measured - force - values["offset"][:, None]
-        return residual[:, self.posterior.first :]
+        return np.asarray(residual[:, self.posterior.first :])
 
     def linearised(self, x: Array) -> Array:
         """Residuals at x (1, D), and their slopes, (1 + D, T)."""
@@ -146,6 +147,8 @@ class JointFit:
     mean: Array  # (J, D), of each test's likelihood, in prior units
     precision: Array  # (J, D, D)
     residual: Residual
+    knot_root: Array  # (K, K), kip: root of the covariance of δ at its knots, all else integrated
+    response: Array  # (J, D, K), 1/kip: how the means follow δ
 
 
 def fit_jointly(
@@ -165,7 +168,8 @@ def fit_jointly(
     likelihoods = [
         replace(t, discrepancy=d, shape=g, information=fit.information) for t, d, g in columns
     ]
-    return JointFit(tuple(likelihoods), np.array(mean), np.array(precision), residual)
+    gaussians = np.array(mean), np.array(precision)
+    return JointFit(tuple(likelihoods), *gaussians, residual, *fit.of_knots())
 
 
 class _Fit:
@@ -211,7 +215,6 @@ class _Fit:
         return Residual(
             basis=self.basis,
             mean=self.knots,
-            covariance=self.covariance / ((1.0 - phi) / (1.0 + phi)),
             log_shape=self.log_shape,
             slip_force=self.median,
             stroke_share=share_of_strokes(standard, strokes),
@@ -261,28 +264,46 @@ class _Fit:
                 return
 
     def solved(self, weights: Sequence[Array], damping: float) -> Array:
-        """Solution (J, D) of the normal equations; the tests' own quantities are eliminated."""
+        """Solution (J, D) of the normal equations."""
+        residuals = [(r - d)[:, None] for r, d in zip(self.left, self.discrepancy, strict=True)]
+        return self.x + self._step(weights, residuals, -self.x[..., None], damping)[..., 0]
+
+    def _step(
+        self, weights: Sequence[Array], targets: Sequence[Array], pull: Array, damping: float = 0.0
+    ) -> Array:
+        """Steps (J, D, m) to targets (T, m) of the forces, and to that of the prior (J, D, m).
+
+        They solve the normal equations, in which what tests do not share is eliminated.
+        """
         common, free_columns = self.common, self.free
-        a, b, eliminated = np.eye(common.size), -self.x[0, common], []
+        a, b, eliminated = np.eye(common.size), pull[0, common], []
         for j, w in enumerate(weights):
-            slopes, residuals = (
-                self.slopes[j] * w[:, None],
-                (self.left[j] - self.discrepancy[j]) * w,
-            )
+            slopes, target = self.slopes[j] * w[:, None], targets[j] * w[:, None]
             shared, free_slopes = slopes[:, common], slopes[:, free_columns]
             h = free_slopes.T @ free_slopes
             h += np.diag(1.0 + damping * np.diag(h))
-            gradient = free_slopes.T @ residuals - self.x[j, free_columns]
-            solved = np.linalg.solve(h, np.column_stack([free_slopes.T @ shared, gradient]))
-            a += shared.T @ shared - (shared.T @ free_slopes) @ solved[:, :-1]
+            gradient = free_slopes.T @ target + pull[j, free_columns]
+            of_shared = np.linalg.solve(h, free_slopes.T @ shared)
+            of_target = np.linalg.solve(h, gradient)
+            a += shared.T @ shared - (shared.T @ free_slopes) @ of_shared
             a += damping * np.diag(np.sum(shared**2, axis=0))
-            b = b + shared.T @ residuals - (shared.T @ free_slopes) @ solved[:, -1]
-            eliminated.append(solved)
-        step, moved = np.linalg.solve(a, b), self.x.copy()
-        moved[:, common] += step
-        for j, solved in enumerate(eliminated):
-            moved[j, free_columns] += solved[:, -1] - solved[:, :-1] @ step
-        return moved
+            b = b + shared.T @ target - (shared.T @ free_slopes) @ of_target
+            eliminated.append((of_shared, of_target))
+        step, steps = np.linalg.solve(a, b), np.zeros(pull.shape)
+        steps[:, common] = step
+        for j, (of_shared, of_target) in enumerate(eliminated):
+            steps[j, free_columns] = of_target - of_shared @ step
+        return steps
+
+    def of_knots(self) -> tuple[Array, Array]:
+        """Root of the covariance of δ at the knots, (K, K), and how x follows it, (J, D, K)."""
+        weights, size = self.weights(), self.knots.size
+        response = self._step(weights, [-f for f in self.scaled], np.zeros((*self.x.shape, size)))
+        precision = self.inverse / self.amplitude**2
+        for slopes, f, w, steps in zip(self.slopes, self.scaled, weights, response, strict=True):
+            weighted = f * w[:, None] ** 2
+            precision = precision + weighted.T @ (f + slopes @ steps)
+        return np.linalg.cholesky(np.linalg.inv(0.5 * (precision + precision.T))), response
 
     def learn(self) -> None:
         """Discrepancy and its size, noise of each test, shape of the noise: a step of EM."""
@@ -297,9 +318,9 @@ class _Fit:
             weighted = f * w[:, None]
             precision = precision + weighted.T @ weighted
             pull += weighted.T @ (w * residuals)
-        self.covariance = np.linalg.inv(precision)
-        self.knots = self.covariance @ pull
-        size = self.knots @ self.inverse @ self.knots + np.sum(self.inverse * self.covariance)
+        covariance = np.linalg.inv(precision)
+        self.knots = covariance @ pull
+        size = self.knots @ self.inverse @ self.knots + np.sum(self.inverse * covariance)
         self.amplitude = max(float(np.sqrt(size / pull.size)), 1e-9)
         squares, count = np.full(pull.size, EVEN), np.full(pull.size, EVEN)
         for j, f in enumerate(self.functions):

@@ -65,8 +65,8 @@ ELSEWHERE = 0.2  # probability that a repeat begins without load or anywhere
 BEFORE = 0.75
 MOST = 0.95  # largest probability that tests begin without load
 SLOW = 1e3  # time between two displacements of a motion without speed, s
-FORMAT = "mixed model 2"  # kind of stored population; others are not read
-_RESIDUAL = ("mean", "covariance", "log_shape")
+FORMAT = "mixed model 3"  # kind of stored population; others are not read
+_RESIDUAL = ("mean", "log_shape")
 _FIGURES = ("slip_force", "stroke_share", "lag_one", "noise_time", "travel")
 
 
@@ -108,8 +108,7 @@ class Residual:
     """Discrepancy and noise that the tests of a device have in common."""
 
     basis: TravelBasis
-    mean: Array  # (K,), (K, K), kip: posterior of δ at the knots
-    covariance: Array
+    mean: Array  # (K,), kip: mean of δ at the knots
     log_shape: Array  # (K,): log g at the knots
     slip_force: float  # kip: typical slip force, at which δ stands as it is
     stroke_share: float  # h
@@ -126,10 +125,6 @@ class Residual:
     def shape(self, trace: Trace) -> Array:
         """Shape g of the noise's standard deviation, (T,)."""
         return np.exp(self.basis(trace) @ self.log_shape)
-
-    def draw_knots(self, rng: np.random.Generator, n: int) -> Array:
-        """Draws of δ at the knots, (n, K), kip."""
-        return rng.multivariate_normal(self.mean, self.covariance, size=n, method="eigh")
 
     def discrepancy(self, trace: Trace, slip_force: Array, knots: Array) -> Array:
         """Discrepancy f δ(u), (n, T), kip, for slip forces (n,) and values at the knots (n, K)."""
@@ -359,6 +354,7 @@ class LawDraws:
     z: Array  # (…, Z): linear coefficients, as in `Design`
     share: Array  # (…, L): shapes of the law of each quantity that follows the actuation
     exponent: Array
+    knots: Array  # (…, K), kip: discrepancy δ at its knots
 
 
 @dataclass(frozen=True, eq=False)
@@ -524,6 +520,10 @@ class Population:
         edges = np.cumsum(self.alternative_weight)
         alternative = np.searchsorted(edges, rng.random(n))
         return np.where(alternative < edges.size, self.size + alternative, index)
+
+    def knots(self, index: Index) -> Array:
+        """Discrepancy at its knots of draws by number, (n, K), kip."""
+        return np.asarray(self._all.knots[index])
 
     @cached_property
     def _leveled(self) -> list[tuple[int, int, Index]]:
@@ -783,7 +783,7 @@ def _population(
     settings = [TestConditions(**entry) for entry in facts["settings"]]
     laws, dependence = facts["laws"], facts["dependence"]
     design = design_of(priors, facts["names"], settings, laws, dependence, model)
-    draws = LawDraws(**{k: values[f"draws_{k}"] for k in ("h", "z", "share", "exponent")})
+    draws = LawDraws(**{k: values[f"draws_{k}"] for k in ("h", "z", "share", "exponent", "knots")})
     alternatives = LawDraws(
         **{k: np.array(v, dtype=np.float64) for k, v in facts["alternatives"].items()}
     )

@@ -58,8 +58,7 @@ def no_residual(**changes: Any) -> Residual:
     """No discrepancy, and even white noise."""
     zeros = np.zeros(2 * KNOTS)
     residual = Residual(
-        TravelBasis(1.0, 1.0), zeros, np.zeros((zeros.size, zeros.size)), zeros, 1.0, 0.0, 1e-3,
-        1e-3, 1e-6,
+        TravelBasis(1.0, 1.0), zeros, zeros, 1.0, 0.0, 1e-3, 1e-3, 1e-6,
     )  # fmt: skip
     return replace(residual, **changes)
 
@@ -90,6 +89,7 @@ def make_population(
     slip forces beyond the levels.
     """
     priors, medians = load_priors("mfd"), dict(medians or THREE_STAGE)
+    residual = residual or no_residual()
     design = design_of(priors, tuple(medians), settings, laws, dependence)
     design = replace(design, reference=reference or design.reference)
     if everywhere:
@@ -129,7 +129,7 @@ def make_population(
     weight = np.repeat([*weights.values()], n_draws) / n_draws
     alternative_draws = LawDraws(
         np.tile(h, (weight.size, 1)), np.resize(z[0], (weight.size, z.shape[-1])),
-        pairs[..., 0], pairs[..., 1],
+        pairs[..., 0], pairs[..., 1], np.zeros((weight.size, 2 * KNOTS)),
     )  # fmt: skip
     watched = np.full(h.size + len(design.shapes) + design.tabled.size, 900.0)
     prior_names = {*medians, "start", "gamma1"} & set(priors.parameters)
@@ -139,12 +139,13 @@ def make_population(
             np.broadcast_to(h, (*shape, h.size)).copy(),
             z,
             *(s.reshape(choice.shape) for s in law_shapes),
+            np.broadcast_to(residual.mean, (*shape, residual.mean.size)),
         ),
         choice=choice,
         law_weights={n: {LAW_NAMES[choice[0, 0, i]]: 1.0} for i, n in enumerate(design.laws)},
         alternatives=alternative_draws,
         alternative_weight=weight,
-        residual=residual or no_residual(),
+        residual=residual,
         starts=starts or InitialGapPrior(),
         priors={name: priors.parameters[name] for name in prior_names},
         actuation_unit="ksi",

@@ -38,7 +38,7 @@ class Campaign:
         rng = np.random.default_rng(seed)
         functions = evaluated or self.functions
         tests = [SimpleNamespace(log_likelihood=lambda x, f=f: f(x[:, 0])) for f in functions]
-        fit = JointFit(tests, self.mean, self.precision, residual=None)
+        fit = JointFit(tests, self.mean, self.precision, *3 * (None,))
         flags = np.zeros(self.mean.shape, dtype=bool)
         return ExactSampler(fit, self.approximate, flags, self.choice, rng)
 
@@ -190,7 +190,7 @@ def common_draws(common, sweeps):
         return mixed, density
 
     tests = [SimpleNamespace(log_likelihood=f) for f in common.functions]
-    fit = JointFit(tests, common.mean, common.precision, residual=None)
+    fit = JointFit(tests, common.mean, common.precision, *3 * (None,))
     flags = np.zeros(common.mean.shape, dtype=bool)
     sampler = ExactSampler(fit, approximate, flags, choice, np.random.default_rng(0))
     draws = sampler.run(0.0, np.inf, sweeps, 10**9, lambda *_: None)

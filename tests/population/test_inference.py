@@ -1,5 +1,6 @@
 """Populations of synthetic campaigns, from records to bands."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,10 +12,12 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.friction.models import find_model
 from mfd_bayes.population.bands import PredictionOptions, Predictor
 from mfd_bayes.population.inference import InferenceSettings, infer_population
+from mfd_bayes.population.population import slip_force_of, strokes_of
 from mfd_bayes.records.trace import Trace
 
 TIME = np.arange(160) / 32.0
 MOTION = 0.8 * np.sin(1.2 * np.pi * TIME)
+TRACE = Trace.from_arrays(TIME, MOTION, 1.0)
 NOISE, SCATTER = 0.03, 0.05
 LAW = {"Fc_fwd": "affine", "Fc_bwd": "affine", "sigma0": "constant"}
 LEVELS = (0.5, 0.5, 1.0, 1.0, 1.5, 1.5)
@@ -97,3 +100,29 @@ def test_tests_without_actuation_inform_a_law_with_an_intercept_alone(priors):
     assert np.median(inference.values(0)["Fc_fwd"]) == pytest.approx(0.4, rel=0.3)
     informs = design.informs[0, [design.names.index(name) for name in ("Fc_fwd", "Fc_bwd")]]
     assert informs.tolist() == [False, True]
+
+
+# --- what parameters are confounded with
+
+
+def test_what_a_discrepancy_takes_away_parameters_give(priors):
+    """Of two tests whose force falls after each turn as no slip force does."""
+    tests, stroke = made_tests(priors, "lugre", (1.0, 1.0), (0.0, 0.02)), strokes_of(TRACE)
+    turns = np.array([MOTION[stroke == i][0] for i in range(stroke[-1] + 1)])
+    travel, direction = np.abs(MOTION - turns[stroke]), np.sign(np.gradient(MOTION))
+    for test in tests.values():
+        fallen = test.trace.force + 0.3 * direction * np.exp(-travel / 0.3)
+        test.trace = replace(test.trace, force=fallen)
+        test.posterior = Posterior(test.trace, priors, "iid", test.posterior.model)
+    result, model = infer(priors, tests), find_model("lugre")
+    values = {name: v.reshape(-1) for name, v in result.values(0).items()} | {"gamma1": 1.0}
+    population = result.population
+    predictor, slip = Predictor(population, model, find_noise("iid")), slip_force_of(model, values)
+    force, knots = predictor.model_force(TRACE, values, {}), population.knots(np.arange(slip.size))
+    discrepancy = population.residual.discrepancy(TRACE, slip, knots)
+
+    force, discrepancy = (v[:, 60:] - v[:, 60:].mean(axis=0) for v in (force, discrepancy))
+    rng = np.random.default_rng(0)
+    of_others = [np.sum(force * rng.permutation(discrepancy)) for _ in range(50)]
+    assert np.sum(force * discrepancy) < -5.0 * np.std(of_others)
+    assert np.max(np.abs(of_others)) < 4.0 * np.std(of_others)

@@ -34,7 +34,7 @@ def population():
     """With all that a file may hold."""
     rng = np.random.default_rng(1)
     residual = no_residual(
-        mean=0.02 * rng.normal(size=32), covariance=1e-4 * np.eye(32), stroke_share=0.3,
+        mean=0.02 * rng.normal(size=32), stroke_share=0.3,
         log_shape=0.1 * rng.normal(size=32), slip_force=1.3, lag_one=0.4, noise_time=0.05,
     )  # fmt: skip
     weights = rng.random((2, SHAPES.size))

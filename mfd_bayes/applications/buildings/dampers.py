@@ -272,13 +272,12 @@ def draw_dampers(
         scales.append(population.scales(model, history, index, level, effects))
     slip = np.stack([slip_force_of(model, entry) for entry in values], axis=1)
     residual = population.residual
-    knots = residual.draw_knots(np.random.default_rng([seed, 4]), draws)
     return Dampers(
         model,
         np.stack([model.theta(entry) for entry in values], axis=1),
         np.stack([entry["start"] for entry in values], axis=1),
         slip,
-        Leftover.at_rest(residual.basis, knots, slip / residual.slip_force),
+        Leftover.at_rest(residual.basis, population.knots(index), slip / residual.slip_force),
         {k: np.stack([entry[k] for entry in scales], axis=1) for k in scales[0]} if varying else {},
         times,
         {name: np.stack([entry[name] for entry in variables], axis=1) for name in variables[0]},

@@ -111,7 +111,6 @@ class SimulatedDevices:
     grid: Array  # (G,): actuations that will be asked for, ksi or kip
     # of the effects of each session; of a motion outside those of the tests, under ""
     numbers: Mapping[str, Latents]
-    knots: Array  # (n, K), kip: discrepancy
 
     @classmethod
     def draw(
@@ -131,8 +130,7 @@ class SimulatedDevices:
         grid = np.unique([setting.actuation for setting in settings])
         sessions = dict.fromkeys(["", *(setting.session for setting in settings)])
         numbers = {session: population.draw_numbers(count, grid.size, rng) for session in sessions}
-        knots = population.residual.draw_knots(rng, count)
-        return cls(predictor, index, grid, numbers, knots)
+        return cls(predictor, index, grid, numbers)
 
     def sample_conditional(
         self,
@@ -149,10 +147,9 @@ class SimulatedDevices:
             session=self.numbers[setting.session].session,
             extrapolation=self.numbers[""].extrapolation,
         )
-        sample = self.predictor.sample_conditional(
+        return self.predictor.sample_conditional(
             trace, setting, self.index, numbers, self.grid, scatter=scattered
         )
-        return replace(sample, knots=self.knots)
 
     def damper(self, loop: Loop, session: str, *, scattered: bool, seed: Sequence[int]) -> Array:
         """The damper's force along a loop, (n, T), kip: without offset and noise."""
