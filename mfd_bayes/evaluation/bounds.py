@@ -11,7 +11,6 @@ from mfd_bayes.evaluation.measurement import gains_of
 from mfd_bayes.evaluation.properties import (
     Array,
     applicable,
-    cycle_energies,
     properties_of,
     without_noise,
 )
@@ -19,7 +18,8 @@ from mfd_bayes.evaluation.scores import Rows
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.population.design import LEVELS, levels_of, setting_of, with_zeros
 from mfd_bayes.population.peaks import certain
-from mfd_bayes.records.cycles import PROPERTIES
+from mfd_bayes.records.cycles import PROPERTIES, cycle_values
+from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.trace import Trace
 from mfd_bayes.runs.run import Run
 
@@ -81,13 +81,12 @@ def drawn_properties(
     for basis, several in bands.items():
         excess = certain(peaks) if basis == "mean" else peaks
         quiet = bands["new_test"] if basis == "observation" else several
-        band_properties = [
-            applicable(
-                properties_of(trace, band.draws, excess, smooth=without_noise(band, test)), axes
-            )
-            | {"energy": cycle_energies(trace, band.draws)}
-            for band, test in zip(several, quiet, strict=True)
-        ]
+        band_properties = []
+        for band, test in zip(several, quiet, strict=True):
+            cycles, smooth = cycle_values(trace, band.draws), without_noise(band, test)
+            values = properties_of(trace, band.draws, excess, smooth=smooth, cycles=cycles)
+            energies = cycles["energy"][:, find_loops(trace).strong]
+            band_properties.append(applicable(values, axes) | {"energy": energies})
         properties[basis] = {
             name: np.concatenate([values[name] for values in band_properties])
             for name in band_properties[0]

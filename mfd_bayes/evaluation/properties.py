@@ -57,14 +57,21 @@ def without_noise(band: Band, test: Band) -> Array:
 
 
 def properties_of(
-    trace: Trace, force: Array, peaks: Peaks = NO_EXCESS, *, smooth: Array | None = None
+    trace: Trace,
+    force: Array,
+    peaks: Peaks = NO_EXCESS,
+    *,
+    smooth: Array | None = None,
+    cycles: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
     """Properties under a motion of forces (n, T), kip, by name, (n,) each.
 
     Peaks are those that a load cell would see, by the excess `peaks` over those of the forces
-    without noise, `smooth`, by default the same forces.
+    without noise, `smooth`, by default the same forces. `cycles` are the forces' `cycle_values`,
+    where they have been computed.
     """
-    properties = means_of_test(cycle_values(trace, force), find_loops(trace).strong)
+    cycles = cycle_values(trace, force) if cycles is None else cycles
+    properties = means_of_test(cycles, find_loops(trace).strong)
     if partial_strokes(trace) > PARTIAL:  # what a cycle at full stroke has, such a motion has not
         properties = {name: np.full(len(force), np.nan) for name in properties}
     properties["total_energy"] = np.asarray(np.trapezoid(force, trace.displacement, axis=1))
@@ -76,11 +83,6 @@ def properties_of(
         peak = excess.seen(largest, speed, properties[f"slip_{side}"], scores)
         properties[f"peak_{side}"] = peak
     return properties
-
-
-def cycle_energies(trace: Trace, force: Array) -> Array:
-    """Energy of each full cycle at full stroke under forces (n, T), kip: (n, L), kip*in."""
-    return cycle_values(trace, force)["energy"][:, find_loops(trace).strong]
 
 
 def of_parameters(

@@ -83,9 +83,10 @@ def score(draws: Array, observed: Array) -> Score:
     """Scores of draws (n, T) against an observed force (T,), kip."""
     coverage = []
     width = interval = np.nan
-    for probability in COVERAGES:
-        tail = 0.5 * (1.0 - probability)
-        lower, upper = np.quantile(draws, [tail, 1.0 - tail], axis=0)
+    draws = np.sort(draws, axis=0)  # once: quantiles of what is sorted take a fifth of the time
+    tails = [0.5 * (1.0 - probability) for probability in COVERAGES]
+    bounds = np.quantile(draws, [side for tail in tails for side in (tail, 1.0 - tail)], axis=0)
+    for tail, lower, upper in zip(tails, bounds[::2], bounds[1::2], strict=True):
         coverage.append(float(np.mean((observed >= lower) & (observed <= upper))))
         width = float(np.mean(upper - lower))
         excess = np.maximum(lower - observed, 0.0) + np.maximum(observed - upper, 0.0)

@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import (
     TAIL_SHARE,
+    Identifiability,
     contraction,
-    identify,
+    find_directions,
+    find_pairs,
     log_if_positive,
     replicate,
 )
+from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import SCALED, units
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import MfdError, StoreError
@@ -248,8 +251,6 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
     theta = posterior.theta(prior_draws)
     prior = prior_draws | dict(zip(posterior.model.parameters, theta.T, strict=True))
     rows = _parameters(test, values, prior, facts["convergence"])
-    draws = {name: stored.posterior.arrays[name] for name in posterior.names}
-    identifiability = identify(posterior, draws, prior)
     measured = measured_of(manifest, test.id)
     properties = properties_of(trace, replicas.observed, smooth=replicas.force)
     for side, sign in SIDES.items():
@@ -263,6 +264,7 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
     derived = properties | of_parameters(posterior.model, replicas.values, level, settings)
     derived = applicable(derived, manifest.axes)
     by_name = {row["name"]: row for row in rows}
+    identifiability = _identify(posterior, values, prior, by_name)
     informed = {name for name, row in by_name.items() if row["contraction"] >= INFORMED}
     medians = {name: np.atleast_1d(np.median(draws)) for name, draws in values.items()}
     inputs = posterior.theta(medians), trace, medians.get("start")
@@ -285,7 +287,7 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
             )
             for name in posterior.names
         ),
-        chains=stored.draws.sizes["chain"],
+        chains=len(stored.posterior.arrays["offset"]),
         corner=tuple(name for name in _CORNER if name in informed),
         checks=(
             *checks.convergence_checks(test.id, rows, manifest.effort),
@@ -333,6 +335,24 @@ def _score(name: str, role: str, trace: Trace, draws: Array, start_index: int) -
     """Scores of force draws (n, T) against the force of a record, from sample `start_index` on."""
     scores = score(draws[:, start_index:], np.asarray(trace.force)[start_index:])
     return {"test": name, "role": role} | score_record(scores)
+
+
+def _identify(
+    posterior: Posterior,
+    values: Mapping[str, Array],
+    prior: Mapping[str, Array],
+    rows: Mapping[str, Row],
+) -> Identifiability:
+    """What the data of a test say about its sampled parameters; `rows` have their bulk ESS.
+
+    Everything is on the scale on which each prior is sampled, the logarithm for most: there
+    the priors are independent, and a prior raised to a power widens about its median.
+    """
+    names = posterior.names
+    draws = np.stack([posterior.priors[n].coordinate(values[n]) for n in names], axis=1)
+    width = np.array([posterior.priors[n].coordinate(prior[n]).std() for n in names])
+    size = min(float(rows[name]["ess_bulk"]) for name in names)
+    return Identifiability(find_directions(names, width, draws, size), find_pairs(names, draws))
 
 
 def _parameters(

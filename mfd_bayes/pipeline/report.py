@@ -29,7 +29,7 @@ def report(
     folder = options.out
     check_forms(options, tuple(read_manifest(folder).tests))  # no lock for what is no finished run
     if Workplace(jobs).processes > 1:
-        get_ready()
+        get_ready("mfd_bayes.reporting.figures")
     with alone_in(folder):
         check_places(folder)
         run = open_run(folder, trust=options.trust_model)

@@ -41,12 +41,12 @@ class TestSequence:
         As pooled with the others: a short motion by itself says little of the gap. What is not
         pooled has the median of the test's own posterior; where nothing is, its draws are taken.
         """
-        test = self.tests[name]
-        draws, pooled = test.stored.values(), self.pooled(name)
+        test, pooled = self.tests[name], self.pooled(name)
         if not pooled or ("start" in test.posterior.names and "start" not in pooled):
-            return draws
+            return test.stored.values()
         size = len(next(iter(pooled.values())))
-        return {**{k: np.full(size, np.median(v)) for k, v in draws.items()}, **pooled}
+        medians = {k: np.full(size, median) for k, (median, *_) in test.intervals.items()}
+        return {**medians, **pooled}
 
     def before(self, test: str, trace: Trace, forecast: PredictionOptions) -> FinalState | None:
         """Where a test of the campaign begins; None where nothing is known of that."""
