@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -15,7 +17,6 @@ from mfd_bayes.options import (
     Scheduler,
     TrustModel,
     Units,
-    this_command,
 )
 
 
@@ -50,4 +51,4 @@ class RehearseOptions(Workplace):
 
     def resumption(self) -> str:
         """The command that goes on where this one was interrupted: the same without `--force`."""
-        return this_command().replace(" --force", "")
+        return shlex.join(["mfd-bayes", *(word for word in sys.argv[1:] if word != "--force")])
