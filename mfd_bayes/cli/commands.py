@@ -46,6 +46,7 @@ _PANELS = {
         ("predict", "prediction", "look at bands.png, then mfd-bayes crossvalidate --help"),
         ("accept", "acceptance", "print and file FOLDER/DEVICE.html; test a rejected device again"),
         ("crossvalidate", "pipeline", "open out/report.html, then mfd-bayes compare --help"),
+        ("rehearse", "rehearsal", "open out/rehearsal.html, then mfd-bayes crossvalidate --help"),
         ("compare", "pipeline", "open out/MODEL/report.html of the model that is favoured"),
         (
             "draws",

@@ -19,6 +19,8 @@ SIDES: Mapping[str, float] = {"fwd": 1.0, "bwd": -1.0}
 PRIOR_TESTS, PRIOR_SCATTER = 3.0, 0.05
 """Prior of the scatter between tests: worth so many tests, with this share of the mean peak."""
 
+CERTAIN = 1e6  # tests by which an excess is known
+
 
 @dataclass(frozen=True)
 class PeakExcess:
@@ -49,6 +51,13 @@ class PeakExcess:
         prior = PRIOR_TESTS * (PRIOR_SCATTER * float(peak.mean())) ** 2
         variance = (prior + float(np.sum((excess - rate * speed) ** 2))) / _freedom(excess.size)
         return cls(rate, 1.0 / squares, float(np.sqrt(variance)), excess.size)
+
+    def draw(self, rng: np.random.Generator) -> PeakExcess:
+        """An excess that the posterior allows: its rate and scatter are known."""
+        freedom = _freedom(self.tests)
+        scatter = self.scatter * np.sqrt(freedom / rng.chisquare(freedom))
+        rate = self.rate + scatter * np.sqrt(self.rate_variance) * rng.standard_normal()
+        return PeakExcess(float(rate), 0.0, float(scatter), CERTAIN)
 
     def scores(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
         """Differences of new tests over their scale, in an array of a shape."""

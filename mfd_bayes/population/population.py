@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -396,6 +396,21 @@ class Population:
         """All draws and those under other laws, (n, …)."""
         pairs = zip(vars(self.draws).values(), vars(self.alternatives).values(), strict=True)
         return LawDraws(*(np.concatenate([v.reshape(self.size, -1), o]) for v, o in pairs))
+
+    def single(self, number: int, knots: Array) -> Population:
+        """The population of one of the draws, with these values of δ at the knots, (K,), kip."""
+        rows = (v.reshape(self.size, 1, 1, -1)[number] for v in vars(self.draws).values())
+        nothing = LawDraws(*(v[:0] for v in vars(self.alternatives).values()))
+        covariance = np.zeros_like(self.residual.covariance)
+        return replace(
+            self,
+            draws=LawDraws(*rows),
+            choice=self.choice.reshape(self.size, 1, 1, -1)[number],
+            alternatives=nothing,
+            alternative_weight=self.alternative_weight[:0],
+            residual=replace(self.residual, mean=knots, covariance=covariance),
+            walkers=1,
+        )
 
     # --- what tables show -------------------------------------------------------------------------
 

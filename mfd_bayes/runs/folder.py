@@ -28,13 +28,14 @@ MODEL = "model.py"
 
 POPULATION = "population.nc"
 CROSSVALIDATION = "crossvalidation"
+REHEARSAL = "rehearsal"
 DISCARDED = f".{MANIFEST}.discarded"
 """The manifest of a run while it is removed: if that is interrupted, it can be repeated."""
 
 OWNER = ".owner"
 """The lock of the folder, which names the process that works in it."""
 
-FOLDERS = ("tests", "figures", CROSSVALIDATION)
+FOLDERS = ("tests", "figures", CROSSVALIDATION, REHEARSAL)
 """Folders in a run folder."""
 
 WRITTEN = re.compile(
@@ -42,6 +43,7 @@ WRITTEN = re.compile(
     r"|(loops|history|residuals|marginals|corner|ranks)\.png)"
     r"|figures/(overview|laws|truth|next)\.(png|csv)"
     rf"|{CROSSVALIDATION}/(test|level|session)_\d+\.json"
+    rf"|{REHEARSAL}/run_\d+\.json"
 )
 """Names of the files that a run and its report write in these folders; others are not theirs."""
 
@@ -51,6 +53,9 @@ ASSESSMENT = "assessment.json"
 DRAWS = ("draws.csv", "draws.parquet")
 ADVICE = ("next.csv", "next.json", "next.png")
 """What `mfd-bayes next` writes into a run folder where it is told no other place."""
+
+REHEARSED = tuple(f"{REHEARSAL}.{form}" for form in ("csv", "html", "png"))
+"""What `mfd-bayes rehearse` writes into a run folder, beside its folder of results."""
 
 _ON_REQUEST = ("tables.docx", "tables.xlsx", "report.pdf", "datasheet.pdf")
 _TABLES = "parameters derived loop_estimates laws law_scores checks scores crossvalidation"
@@ -238,7 +243,7 @@ def discard(folder: Path) -> None:
         remove_partial_files(folder)
         for name in FOLDERS:
             remove_folder(folder, name)
-        for name in (*OUTPUTS, *ADVICE):
+        for name in (*OUTPUTS, *ADVICE, *REHEARSED):
             (folder / name).unlink(missing_ok=True)
         marker.unlink()
     except OSError as error:
@@ -271,7 +276,8 @@ def remove_stale(folder: Path, *, draws: bool) -> None:
 
     With `draws`, tests are sampled too, and the table of their draws is removed.
     """
-    on_request = (*_ON_REQUEST, *ADVICE, "figures/next.png", "figures/next.csv")
+    on_request = (*_ON_REQUEST, *ADVICE, *REHEARSED, "figures/next.png", "figures/next.csv")
+    remove_folder(folder, REHEARSAL)
     for name in (*on_request, *(DRAWS if draws else ())):
         remove_file(folder / name)
 

@@ -205,6 +205,12 @@ class Run:
         path = check_stored(self.folder, POPULATION, self.manifest.files)
         return load_population(path, self.priors, self.model)
 
+    def with_population(self, population: Population) -> Run:
+        """The run with another population than the stored one."""
+        run = replace(self)
+        vars(run)["population"] = population  # in place of the cached one
+        return run
+
     @cached_property
     def actuation_unit(self) -> str:
         """The internal unit of actuation, such as "ksi" or "kip"."""

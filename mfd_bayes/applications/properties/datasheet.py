@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,7 +29,7 @@ from mfd_bayes.evaluation.properties import Array
 from mfd_bayes.evaluation.views import Datasheet
 from mfd_bayes.messages import Message
 from mfd_bayes.records.cycles import PROPERTIES, RECORD, DeviceProperty
-from mfd_bayes.records.trace import Harmonic
+from mfd_bayes.records.trace import Harmonic, Trace
 from mfd_bayes.runs.findings import Fitness
 from mfd_bayes.runs.run import Run
 
@@ -88,6 +88,17 @@ def datasheet(run: Run, conditions: Sequence[Condition] = ()) -> Datasheet:
             if quantity.applies(run.system.axes)
         },
     )
+
+
+def sheet_conditions(run: Run) -> Iterator[tuple[str, Trace, list[tuple[str, str]]]]:
+    """Each tested condition of the sheet in words, its motion, and its sessions and devices."""
+    tests = harmonic_tests(run)
+    for condition in sorted({test.condition for test in tests}):
+        matching = [test for test in tests if test.condition == condition]
+        trace = matching[0].trace
+        assert trace is not None  # a run has the motion of each of its tests
+        places = dict.fromkeys((test.session, test.device) for test in matching)
+        yield condition_words(run, condition), trace, list(places)
 
 
 def _rows(
