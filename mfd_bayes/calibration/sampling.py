@@ -435,26 +435,22 @@ class Draws:
         """What ArviZ's functions take: InferenceData, or a DataTree from ArviZ 1 on.
 
         Its groups are posterior, sample_stats (lp), prior, log_prior, log_likelihood, observed_data
-        and constant_data. The log likelihood is that of each cycle given all others, by which
-        `az.loo` leaves out whole cycles; of a record of fewer than three it is that of all. The
-        prior has as many draws as a chain, by `seed`.
+        and constant_data. Both densities sum to the joint ones, as `psense` needs them; of the log
+        likelihood, `force` is that of each cycle given all others, by which
+        `az.loo(data, var_name="force")` leaves out whole cycles. A record of fewer than three has
+        the sum alone. The prior has as many draws as a chain, by `seed`.
         """
-        from mfd_bayes.calibration.cycles import cycles_of_draws
+        from mfd_bayes.calibration.cycles import density_groups
         from mfd_bayes.store.netcdf import arviz_data, draws_group, trace_groups
 
         unit_of, n = units(self.posterior.model), self.q.shape[1]
-        try:
-            likelihood = cycles_of_draws(self.posterior, self.values)
-        except FitError:  # too few cycles to leave one out
-            likelihood = draws_group({"all": self.log_likelihood})
         of_prior = self.posterior.sample_prior(n, seed)
         return arviz_data(
             {
                 "posterior": draws_group(self.values, unit_of),
                 "sample_stats": draws_group({"lp": self.log_prob}),
                 "prior": draws_group({k: v[None] for k, v in of_prior.items()}, unit_of),
-                "log_prior": draws_group({"all": self.log_prior}),
-                "log_likelihood": likelihood,
+                **density_groups(self.posterior, self.values, self.log_likelihood),
                 **trace_groups(self.posterior.trace),
             }
         )

@@ -21,7 +21,7 @@ from mfd_bayes.calibration.diagnostics import (
 from mfd_bayes.calibration.priors import SCALED, units
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import MfdError, StoreError
-from mfd_bayes.evaluation import checks
+from mfd_bayes.evaluation import checks, sensitivity
 from mfd_bayes.evaluation.assessment import (
     CALIBRATION,
     COVERAGE,
@@ -144,6 +144,7 @@ def assess(run: Run, jobs: int = 1) -> CampaignView:
         systems=both_systems(run.system),
         tested=run.tested,
         drifts=drift_rows(run) if table else (),
+        sensitivity=sensitivity.law_rows(run, sensitivity.JointDensity.of(run)),
         model=run.model,
     )
 
@@ -303,6 +304,7 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
         modes=_modes(facts),
         stage=None if stage is None else stage[0],
         travel=None if stage is None else posterior.model.travel(*inputs)[0],
+        sensitivity=sensitivity.test_rows(test, stored),
     )
 
 

@@ -120,6 +120,10 @@ _COLUMNS = {
         f"part test {_SCORES} fitted_width:fitted_width_95_kip "
         "fitted_crps:fitted_crps_kip width_ratio crps_ratio simultaneous_95"
     ),
+    "sensitivity": (
+        "group condition name:quantity of prior:prior_sensitivity data:data_sensitivity "
+        "pareto_k verdict"
+    ),
     "tested_range": "name:condition unit lowest:smallest highest:largest",
     "drift": (
         "quantity condition per change:change_percent lower:lower_percent upper:upper_percent "

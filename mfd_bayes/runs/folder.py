@@ -55,7 +55,7 @@ ADVICE = ("next.csv", "next.json", "next.png")
 _ON_REQUEST = ("tables.docx", "tables.xlsx", "report.pdf", "datasheet.pdf")
 _TABLES = "parameters derived loop_estimates laws law_scores checks scores crossvalidation"
 OUTPUTS = (
-    *(f"{name}.csv" for name in (*_TABLES.split(), "tested_range")),
+    *(f"{name}.csv" for name in (*_TABLES.split(), "tested_range", "sensitivity")),
     *(f"{name}.{form}" for name in ("parameters", "laws") for form in ("json", "tex")),
     *("datasheet.csv", "datasheet.tex", "cycles.csv", "conformity.csv", "factors.csv"),
     *(*_ON_REQUEST, *DRAWS, "report.html", "datasheet.html"),
