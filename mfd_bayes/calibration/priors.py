@@ -222,8 +222,8 @@ class Prior:
         """Log density of x itself, without a Jacobian; −inf outside its support, same shape."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             density = FAMILIES[self.family].log_density(x, self.figures)
-        inside = (x >= self.lower) & (x <= self.upper) & np.isfinite(density)
-        return np.where(inside, density, -np.inf)
+        in_support = (x >= self.lower) & (x <= self.upper) & np.isfinite(density)
+        return np.where(in_support, density, -np.inf)
 
     def draw(self, rng: np.random.Generator, n: int) -> Array:
         """Independent draws of x, (n,)."""

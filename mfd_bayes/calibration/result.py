@@ -56,6 +56,7 @@ class Task:
     initial: str
     effort: str | Effort
     seed: tuple[int, ...]
+    begin: Array | None = None  # (m, dim), points near its modes, where some are known
 
     @property
     def makes(self) -> tuple[str, ...]:
@@ -89,6 +90,7 @@ class Task:
                 self.effort,
                 self.seed,
                 report=lambda progress: observe(Step(self.id, "sampling", progress)),
+                begin=self.begin,
             )
             _store(folder / self.file, self, posterior, draws)
         except StoreError:

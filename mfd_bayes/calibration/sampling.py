@@ -38,6 +38,7 @@ from mfd_bayes.calibration.proposal import (
     fit_proposal,
     laplace_mixture,
     log_evidence,
+    maximize,
 )
 from mfd_bayes.errors import FitError, whole_number
 from mfd_bayes.jobs.job import Progress
@@ -478,6 +479,7 @@ def sample(
     seed: int | Sequence[int] = 0,
     *,
     report: Callable[[Progress], None] | None = None,
+    begin: Array | None = None,
 ) -> Draws:
     """Posterior draws of one test, in four independent ensembles or more.
 
@@ -488,6 +490,9 @@ def sample(
         The same seed gives the same draws. A sequence of one number is that number.
     report : callable, optional
         Called with a `Progress` after every block of steps.
+    begin : (m, dim), optional
+        Points near which the modes are, such as draws under another prior; they are looked for
+        from the prior when left out.
 
     Raises
     ------
@@ -500,7 +505,10 @@ def sample(
     if report is not None and not callable(report):
         raise FitError(f"report must be a function of one argument, a Progress, got {report!r}")
     settings, rng = find_effort(effort), generator_of(seed)
-    modes = find_modes(posterior, rng, starts=settings.starts)
+    if begin is None:
+        modes = find_modes(posterior, rng, starts=settings.starts)
+    else:
+        modes = _modes_near(posterior, begin, rng)
     chains = sample_density(
         posterior.log_prob, modes, settings, rng, derived=posterior.derived, report=report
     )
@@ -522,6 +530,17 @@ def sample(
         wall_time=time.perf_counter() - began,
         posterior=posterior,
     )
+
+
+def _modes_near(posterior: Posterior, begin: Array, rng: np.random.Generator) -> tuple[Mode, ...]:
+    """Distinct modes that are climbed from points (m, dim), best first."""
+    sd = posterior.coordinates(posterior.sample_prior(2000, rng)).std(axis=0)
+    modes: list[Mode] = []
+    for point in begin:
+        mode = maximize(posterior.log_prob, point, sd)
+        if not any(previous.is_near(mode.q, mode.log_prob) for previous in modes):
+            modes.append(mode)
+    return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
 
 
 def generator_of(seed: int | Sequence[int]) -> np.random.Generator:

@@ -227,6 +227,7 @@ def _provenance(manifest: Manifest) -> dict[str, str]:
         "platform": manifest.platform,
         "versions": ", ".join(f"{k} {v}" for k, v in manifest.versions.items()),
     }
+    facts |= {f"draws of {name}": how for name, how in manifest.reweighed.items()}
     for number, machine in enumerate(manifest.machines):
         name = f"machine {number + 1}" if number else "machine"
         facts[name] = ", ".join(f"{component} {words}" for component, words in machine.items())

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfd_bayes.population.design import EXPONENT, LAW_NAMES, LAWS, Design
-from mfd_bayes.population.population import Population
+from mfd_bayes.population.population import LawDraws, Population
 
 Array = NDArray[np.float64]
 
@@ -32,26 +32,32 @@ def log_prior(
     `pooled` are draws of each test's quantities by name, (chain, draw). Another design must have
     the same layout and coordinates: its levels, scatter and priors may have other figures.
     """
-    draws, layout = population.draws, population.design
+    layout = population.design
     design = design or layout
+    log = log_population_prior(population.draws, layout, design)
+    free = np.isin(population.choice, [i for i, n in enumerate(LAW_NAMES) if _bends(n)])
+    mean, sd = EXPONENT
+    distance = free * (population.draws.exponent - mean) / sd
+    log = log - 0.5 * np.sum(distance**2, axis=-1)
+    for j, values in enumerate(pooled):
+        for k, name in enumerate(design.coordinates.names):
+            if k >= len(layout.names) or not design.informs[j, k]:
+                prior = design.coordinates.priors[name]
+                log = log + prior.log_density(prior.coordinate(values[name]))
+    return np.asarray(log)
+
+
+def log_population_prior(draws: LawDraws, layout: Design, design: Design) -> Array:
+    """That of levels, slopes, scatter and effects' sds of draws of one layout, under a design."""
     d, size = len(layout.names), layout.z_sd.size
-    level = natural_levels(layout, draws.z)
-    distance = (level - design.coordinates.centre[:d]) / design.spread
-    log = -0.5 * np.sum(distance**2, axis=-1) - np.log(design.spread).sum()
+    distance = natural_levels(layout, draws.z) - design.coordinates.centre[:d]
+    log = -0.5 * np.sum((distance / design.spread) ** 2, axis=-1) - np.log(design.spread).sum()
     log = log - 0.5 * np.sum((draws.z[..., d:size] / layout.z_sd[d:]) ** 2, axis=-1)
     scale = np.concatenate(
         [design.scatter_sd[design.free], [effect.scale for effect in design.effects]]
     )
-    log = log - 0.5 * np.sum((np.exp(draws.h) / scale) ** 2, axis=-1) - np.log(scale).sum()
-    free = np.isin(population.choice, [i for i, n in enumerate(LAW_NAMES) if _bends(n)])
-    mean, sd = EXPONENT
-    log = log - 0.5 * np.sum(free * ((draws.exponent - mean) / sd) ** 2, axis=-1)
-    for j, values in enumerate(pooled):
-        for k, name in enumerate(design.coordinates.names):
-            if k >= d or not design.informs[j, k]:
-                prior = design.coordinates.priors[name]
-                log = log + prior.log_density(prior.coordinate(values[name]))
-    return np.asarray(log)
+    squares = np.sum((np.exp(draws.h) / scale) ** 2, axis=-1)
+    return np.asarray(log - 0.5 * squares - np.log(scale).sum())
 
 
 def _bends(law: str) -> bool:

@@ -31,7 +31,7 @@ _OF_UNIT = frozenset(
         *("q2.5", "q50", "q97.5", "other_q2.5", "other_q50", "other_q97.5", "loop_estimate"),
         *("other_lower", "other_median", "other_upper", "smallest", "largest"),
         *("measured_low", "measured_high", "first_three", "observed", "expected"),
-        *("joint_q2.5", "joint_q50", "joint_q97.5"),
+        *("joint_q2.5", "joint_q50", "joint_q97.5", "before", "after"),
     }
 )
 """Keys of a row, and columns of a table, that are in the unit that the row names."""

@@ -48,6 +48,9 @@ WRITTEN = re.compile(
 ASSESSMENT = "assessment.json"
 """Checks and verdict of a run, for `mfd-bayes check`."""
 
+REWEIGHED = ("reweighed.csv", "reweighed.html")
+"""What `mfd-bayes reweigh` writes: a run under two priors, side by side."""
+
 DRAWS = ("draws.csv", "draws.parquet")
 ADVICE = ("next.csv", "next.json", "next.png")
 """What `mfd-bayes next` writes into a run folder where it is told no other place."""
@@ -58,7 +61,7 @@ OUTPUTS = (
     *(f"{name}.csv" for name in (*_TABLES.split(), "tested_range", "sensitivity")),
     *(f"{name}.{form}" for name in ("parameters", "laws") for form in ("json", "tex")),
     *("datasheet.csv", "datasheet.tex", "cycles.csv", "conformity.csv", "factors.csv"),
-    *(*_ON_REQUEST, *DRAWS, "report.html", "datasheet.html"),
+    *(*_ON_REQUEST, *REWEIGHED, *DRAWS, "report.html", "datasheet.html"),
     *(ASSESSMENT, POPULATION, CAMPAIGN, PRIORS, MODEL),
 )
 """Files that a run and its report write, but for the manifest and what lies in folders."""
@@ -271,7 +274,7 @@ def remove_stale(folder: Path, *, draws: bool) -> None:
 
     With `draws`, tests are sampled too, and the table of their draws is removed.
     """
-    on_request = (*_ON_REQUEST, *ADVICE, "figures/next.png", "figures/next.csv")
+    on_request = (*_ON_REQUEST, *REWEIGHED, *ADVICE, "figures/next.png", "figures/next.csv")
     for name in (*on_request, *(DRAWS if draws else ())):
         remove_file(folder / name)
 

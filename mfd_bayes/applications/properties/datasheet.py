@@ -98,6 +98,18 @@ def datasheet(run: Run, conditions: Sequence[Condition] = ()) -> Datasheet:
     )
 
 
+def sheet_values(run: Run) -> dict[tuple[str, str, str, str], float]:
+    """Nominal value and bounds of each condition, quantity and unit; the third word is which."""
+    rows: list[Row] = datasheet(run).rows.to_dict("records")  # type: ignore[assignment]
+    values = {}
+    for row in rows:
+        if not row["cycle"]:
+            name = f"{row['quantity'].replace('_', ' ')} {row['direction']}".strip()
+            for which in ("nominal", "lower", "upper"):
+                values[row["condition"], name, which, row["unit"]] = row[which]
+    return values
+
+
 def _rows(
     run: Run,
     condition: Condition,
