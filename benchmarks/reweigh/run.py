@@ -67,7 +67,7 @@ def main() -> None:
             )
             began = used()
             reweighing = reweigh(run, path, jobs=1)
-            cost, after = used() - began, reweighing.after
+            cost, after = used() - began, reweighing.reweighed
             joint = reweighing.weights[JOINT]
             tests = [w.pareto_k for n, w in reweighing.weights.items() if n != JOINT]
             n_sampled = len([n for n in reweighing.sampled if n != JOINT])

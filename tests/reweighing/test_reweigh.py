@@ -133,7 +133,7 @@ def out(finished_run, tmp_path_factory):
 def test_the_command_shows_both_priors_and_writes_a_run_of_the_other(out, tmp_path) -> None:
     path, target = other_priors(out, tmp_path / "other.toml", k3=1.3), tmp_path / "out2"
     printed = said("reweigh", out, "--priors", path, "-o", target, "--jobs", "1")
-    assert "No test of 3 had to be sampled again; the population was weighted" in printed
+    assert "Of 3 tests, none had to be sampled again; the population was weighted" in printed
     with (target / "reweighed.csv").open() as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
     assert {row["part"] for row in rows} == {"data sheet", "laws", "bands"}
@@ -165,9 +165,9 @@ def test_the_same_priors_change_nothing(out) -> None:
     test = next(iter(run.tests))
     for name in ("k3", "offset", "Fs_fwd"):
         np.testing.assert_allclose(
-            reweighing.after.tests[test].draws[name], run.tests[test].draws[name], rtol=1e-12
+            reweighing.reweighed.tests[test].draws[name], run.tests[test].draws[name], rtol=1e-12
         )
-    np.testing.assert_allclose(reweighing.after.population.draws.z, run.population.draws.z)
+    np.testing.assert_allclose(reweighing.reweighed.population.draws.z, run.population.draws.z)
 
 
 def test_what_weights_cannot_reach_is_sampled(out, tmp_path) -> None:
@@ -181,7 +181,7 @@ def test_what_weights_cannot_reach_is_sampled(out, tmp_path) -> None:
     joint = reweighing.weights[JOINT]
     assert "the prior of v_s has other bounds" in joint.words
     assert JOINT in reweighing.sampled
-    after = reweighing.after
+    after = reweighing.reweighed
     assert after.population.design.coordinates.priors["v_s"].upper == pytest.approx(6.0)
     assert np.all(np.isfinite(after.population.draws.h))
     # of a test whose parameters stay within the bounds the draws are weighted

@@ -27,25 +27,25 @@ def run_reweigh(options: ReweighOptions) -> None:
             seed=options.seed,
             observe=observe,
         )
-    both = side_by_side(reweighing, Workplace(options.jobs).processes)
+    comparison = side_by_side(reweighing, Workplace(options.jobs).processes)
     folder = options.out if options.folder is None else options.folder
     with alone_in(folder):
         check_places(folder)
         table, page = (folder / name for name in REWEIGHED)
-        write_text(table, both.csv())
-        write_text(page, both.page())
+        write_text(table, comparison.csv())
+        write_text(page, comparison.page())
         if options.folder is not None:
-            rewrite_manifest(reweighing.after, verdicts=both.verdicts[1])
+            rewrite_manifest(reweighing.reweighed, verdicts=comparison.verdicts[1])
     if not options.quiet:
         rows = [
-            (name, w.words, *both.uses.get(name, ("", "")))
+            (name, w.words, *comparison.uses.get(name, ("", "")))
             for name, w in reweighing.weights.items()
         ]
         print_rows(
             "Draws under the other priors", ["of", "made", "before", "after"], rows, folded=2
         )
-        say(both.sentence)
-    for label, verdict in zip(("before", "after"), both.verdicts, strict=True):
+        say(comparison.sentence)
+    for label, verdict in zip(("before", "after"), comparison.verdicts, strict=True):
         say(f"{label}: {verdict['campaign'].upper()}: {verdict['sentence']}")
     if not options.quiet:
         say(f"look next at {page} and {table}")

@@ -41,23 +41,25 @@ class SideBySide:
     @property
     def uses(self) -> dict[str, tuple[str, str]]:
         """What each test may be used for under either prior."""
-        before, after = self.verdicts
-        return {n: (before.get(n, ""), after.get(n, "")) for n in self.reweighing.before.tests}
+        original, reweighed = self.verdicts
+        return {
+            n: (original.get(n, ""), reweighed.get(n, "")) for n in self.reweighing.original.tests
+        }
 
     @property
-    def most(self) -> Row | None:
+    def largest_change(self) -> Row | None:
         """The nominal value of the data sheet that changes most, over its size."""
-        rows = [r for r in self.part(SHEET) if r["of"] == NOMINAL and np.isfinite(r["change"])]
+        rows = [r for r in self.section(SHEET) if r["of"] == NOMINAL and np.isfinite(r["change"])]
         return max(rows, key=lambda row: abs(row["change"]), default=None)
 
-    def part(self, part: str) -> Rows:
+    def section(self, name: str) -> Rows:
         """Rows of a part."""
-        return tuple(row for row in self.rows if row["part"] == part)
+        return tuple(row for row in self.rows if row["part"] == name)
 
-    def groups(self, part: str) -> dict[tuple[str, str, str], dict[str, Row]]:
+    def groups(self, section: str) -> dict[tuple[str, str, str], dict[str, Row]]:
         """Rows of a part by what they are of, for each place, quantity and unit."""
         groups: dict[tuple[str, str, str], dict[str, Row]] = {}
-        for row in self.part(part):
+        for row in self.section(section):
             key = row["where"], row["quantity"], row["unit"]
             groups.setdefault(key, {})[row["of"]] = row
         return groups
@@ -66,20 +68,15 @@ class SideBySide:
     def sentence(self) -> str:
         """What was sampled, and what changes most."""
         weights, sampled = self.reweighing.weights, self.reweighing.sampled
-        tests = counted(len(weights) - 1, "test")
-        again = [name for name in sampled if name != JOINT]
-        text = (
-            f"Of {tests}, {len(again)} had to be sampled again"
-            if again
-            else (f"No test of {len(weights) - 1} had to be sampled again")
-        )
+        tests = len([name for name in sampled if name != JOINT])
         joint = "was sampled again" if JOINT in sampled else "was weighted"
-        text = f"{text}; the population {joint}."
-        if (most := self.most) is not None:
-            text += (
-                f" The nominal value that changes most is {most['quantity']} at {most['where']}: "
-                f"{most['change']:+.1f} %."
-            )
+        text = (
+            f"Of {counted(len(weights) - 1, 'test')}, {tests or 'none'} had to be sampled again; "
+            f"the population {joint}."
+        )
+        if (row := self.largest_change) is not None:
+            where = f"{row['quantity']} at {row['where']}"
+            text += f" The nominal value that changes most is {where}: {row['change']:+.1f} %."
         return text
 
     def table(self) -> pd.DataFrame:
@@ -87,7 +84,7 @@ class SideBySide:
         import pandas as pd
 
         frame = pd.DataFrame(list(self.rows)).rename(columns={"change": "change_percent"})
-        return to_units(frame, self.reweighing.before.system)
+        return to_units(frame, self.reweighing.original.system)
 
     def csv(self) -> str:
         """The table as CSV, below how the draws were made."""
@@ -96,7 +93,7 @@ class SideBySide:
 
     def page(self) -> str:
         """HTML of the page."""
-        run = self.reweighing.before
+        run = self.reweighing.original
         systems = both_systems(run.system)
         units = Units(systems, run.system.name == SI.name, words=Symbols(run.model))
         return render_page("reweighed.html.j2", units, view=self)
@@ -104,18 +101,16 @@ class SideBySide:
 
 def side_by_side(reweighing: Reweighing, jobs: int = 0) -> SideBySide:
     """Data sheet, laws, bands and verdicts of a run under both priors."""
-    runs = reweighing.before, reweighing.after
+    runs = reweighing.original, reweighing.reweighed
     values = [dict(_values(run)) for run in runs]
     rows = []
-    for key, before in values[0].items():
-        after = values[1].get(key, np.nan)
-        change = 100.0 * (after / before - 1.0) if before else np.nan
+    for key, value in values[0].items():
+        reweighed = values[1].get(key, np.nan)
+        change = 100.0 * (reweighed / value - 1.0) if value else np.nan
         names = dict(zip(("part", "where", "quantity", "of", "unit"), key, strict=True))
-        rows.append(names | {"before": before, "after": after, "change": change})
-    first, second = (
-        run.manifest.verdicts or verdicts(assess(run.with_peaks(), jobs)) for run in runs
-    )
-    return SideBySide(reweighing, tuple(rows), (first, second))
+        rows.append(names | {"before": value, "after": reweighed, "change": change})
+    uses = [run.manifest.verdicts or verdicts(assess(run.with_peaks(), jobs)) for run in runs]
+    return SideBySide(reweighing, tuple(rows), (uses[0], uses[1]))
 
 
 def _values(run: Run) -> Iterator[tuple[tuple[str, str, str, str, str], float]]:

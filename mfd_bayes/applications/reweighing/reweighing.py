@@ -62,8 +62,8 @@ class Reweighing:
     `weights` are those of each test and of `JOINT`; `seconds` is the time that all took.
     """
 
-    before: Run
-    after: Run
+    original: Run
+    reweighed: Run
     weights: Mapping[str, Weights]
     seconds: float
 
@@ -104,7 +104,7 @@ def reweigh(
     Returns
     -------
     Reweighing
-        `before` and `after`, runs under the one and the other priors, and `weights`.
+        `original` and `reweighed`, runs under the one and the other priors, and `weights`.
 
     Raises
     ------
@@ -142,16 +142,18 @@ def reweigh(
         except OSError as error:
             raise StoreError(f"cannot write {target}: {error.strerror}") from error
         scratch.cleanup()
-    after = replace(open_run(folder if target is None else target, trust=True), units=run.units)
-    return Reweighing(run, after, weights, time.perf_counter() - began)
+    reweighed = replace(open_run(folder if target is None else target, trust=True), units=run.units)
+    return Reweighing(run, reweighed, weights, time.perf_counter() - began)
 
 
 def _posterior(run: Run, file: PriorFile, name: str) -> Posterior:
     """Posterior of a test under other priors."""
-    old = run.tests[name].posterior
+    stored = run.tests[name].posterior
     settings = run.manifest.settings.campaign
     try:
-        return Posterior(old.trace, file, old.noise.name, old.model, initial=settings.initial)
+        return Posterior(
+            stored.trace, file, stored.noise.name, stored.model, initial=settings.initial
+        )
     except PriorError as error:
         fit = f"{settings.model} with {settings.noise} noise"
         raise PriorError(f"the run is of {fit}: {error}") from error
@@ -230,9 +232,9 @@ class _Work:
             q = posterior.coordinates(stored.values())
             density = posterior.log_prior(np.nan_to_num(q, nan=np.inf))
         allowed = np.flatnonzero(np.isfinite(density))
-        # the likeliest of equal parts of the chains, so that each mode has some
-        parts = [part for part in np.array_split(allowed, BEGIN) if part.size]
-        begin = [part[np.argmax(density[part])] for part in parts]
+        # the likeliest of equal blocks of the chains, so that each mode has some
+        blocks = [block for block in np.array_split(allowed, BEGIN) if block.size]
+        begin = [block[np.argmax(density[block])] for block in blocks]
         return Task(
             id=name,
             file=posterior_of(name),
@@ -284,8 +286,8 @@ class _Work:
             for choice in np.unique(population.choice.reshape(population.size, -1), axis=0):
                 rows = np.all(population.choice == choice, axis=-1)
                 log_ratio[rows] -= np.logaddexp.reduce(log_ratio[rows]) - np.log(rows.sum())
-            least = self.least_ess / population.convergence.worst_ess
-            weights = Weights.of(log_ratio.reshape(shape), least)
+            min_share = self.least_ess / population.convergence.worst_ess
+            weights = Weights.of(log_ratio.reshape(shape), min_share)
         else:
             weights = Weights.none(reason)
         if weights.reason:
@@ -377,9 +379,9 @@ def _picked(
     def picked(values: NDArray[Any]) -> NDArray[Any]:
         return values.reshape(population.size, -1)[pick].reshape(values.shape)
 
-    others = population.alternatives
-    log_ratio = log_population_prior(others, layout, design) - log_population_prior(
-        others, layout, layout
+    alternatives = population.alternatives
+    log_ratio = log_population_prior(alternatives, layout, design) - log_population_prior(
+        alternatives, layout, layout
     )
     ratio = population.alternative_weight * np.exp(log_ratio - log_ratio.max(initial=-np.inf))
     total = population.alternative_weight.sum()
@@ -390,7 +392,7 @@ def _picked(
         design=design,
         draws=moved(LawDraws(**{k: picked(v) for k, v in vars(population.draws).items()})),
         choice=picked(population.choice),
-        alternatives=moved(others),
+        alternatives=moved(alternatives),
         alternative_weight=ratio * (total / max(ratio.sum(), 1e-300)),
         priors=file.parameters,
         convergence=replace(convergence, **sizes),

@@ -45,8 +45,8 @@ class Weights:
         return cls(np.empty(0), np.inf, 0.0, reason)
 
     @classmethod
-    def of(cls, log_ratio: Array, least: float) -> Weights:
-        """Of log ratios of the priors, (chain, draw); `least` is the share that must be left."""
+    def of(cls, log_ratio: Array, min_share: float) -> Weights:
+        """Of log ratios of the priors, (chain, draw); at least `min_share` must be left."""
         flat = log_ratio.ravel()
         if not np.any(np.isfinite(flat)):
             return cls.none("the other prior excludes every draw")
@@ -56,7 +56,7 @@ class Weights:
         efficiency, reason = effective_draws(log) / flat.size, ""
         if k > LARGEST_K:
             reason = f"Pareto k {k:.2f}"
-        elif efficiency < min(least, 1.0):
+        elif efficiency < min(min_share, 1.0):
             reason = f"only {efficiency:.0%} of the draws' worth would be left"
         return cls(log, k, efficiency, reason)
 
@@ -73,53 +73,53 @@ class Weights:
         return f"weighted ({k}{self.efficiency:.0%} of the draws' worth)"
 
 
-def check_same_parameters(posterior: Posterior, other: Posterior, file: str) -> None:
+def check_same_parameters(posterior: Posterior, target: Posterior, file: str) -> None:
     """Refuse priors under which other parameters are sampled, or fixed at other values."""
     for name, prior in posterior.priors.items():
-        changed, advice = other.priors[name], "calibrate the campaign with it"
-        if prior.fixed != changed.fixed:
-            verbs = ("fixes", "sampled") if changed.fixed else ("samples", "fixed")
+        target_prior, advice = target.priors[name], "calibrate the campaign with it"
+        if prior.fixed != target_prior.fixed:
+            verbs = ("fixes", "sampled") if target_prior.fixed else ("samples", "fixed")
             raise PriorError(f"{file} {verbs[0]} {name}, which the run {verbs[1]}: {advice}")
-        if prior.fixed and prior.figures != changed.figures:
+        if prior.fixed and prior.figures != target_prior.figures:
             raise PriorError(f"{file} fixes {name} at another value than the run: {advice}")
 
 
 def weights_of_test(
-    posterior: Posterior, other: Posterior, draws: Mapping[str, Array], least: float
+    posterior: Posterior, target: Posterior, draws: Mapping[str, Array], min_share: float
 ) -> Weights:
     """Weights of a test's draws by name, (chain, draw) each, from its posterior to another.
 
-    `least` is the share of the draws' worth that they must leave.
+    `min_share` is the share of the draws' worth that they must leave.
     """
-    if posterior.first != other.first:
+    if posterior.first != target.first:
         return Weights.none("the first slip by the other priors is at another sample")
     log_ratio = np.zeros(draws["offset"].shape)
     for name in posterior.names:
-        prior, changed = posterior.priors[name], other.priors[name]
-        if _same(prior, changed):
+        prior, target_prior = posterior.priors[name], target.priors[name]
+        if _same(prior, target_prior):
             continue
-        if changed.lower < prior.lower or changed.upper > prior.upper:
+        if target_prior.lower < prior.lower or target_prior.upper > prior.upper:
             return Weights.none(f"the other prior of {name} allows what the run's excludes")
-        log_ratio += changed.log_density_of(draws[name]) - prior.log_density_of(draws[name])
-    return Weights.of(log_ratio, least)
+        log_ratio += target_prior.log_density_of(draws[name]) - prior.log_density_of(draws[name])
+    return Weights.of(log_ratio, min_share)
 
 
-def _same(prior: Prior, other: Prior) -> bool:
-    return prior.family == other.family and dict(prior.figures) == dict(other.figures)
+def _same(prior: Prior, target: Prior) -> bool:
+    return prior.family == target.family and dict(prior.figures) == dict(target.figures)
 
 
-def difference_of_layout(design: Design, other: Design) -> str:
+def difference_of_layout(design: Design, target: Design) -> str:
     """Why draws of one design are none of another; "" where they are."""
     for name in design.coordinates.names:
         bounds = [
             (d.coordinates.priors[name].lower, d.coordinates.priors[name].upper)
-            for d in (design, other)
+            for d in (design, target)
         ]
         if bounds[0] != bounds[1]:
             return f"the prior of {name} has other bounds, and so its laws are of another scale"
-    if not np.array_equal(design.common, other.common):
+    if not np.array_equal(design.common, target.common):
         return "other quantities are the same in all tests"
-    layouts = [[(e.name, e.group, e.members) for e in d.effects] for d in (design, other)]
+    layouts = [[(e.name, e.group, e.members) for e in d.effects] for d in (design, target)]
     if layouts[0] != layouts[1]:
         return "the groups of scatter are others"
     return ""
