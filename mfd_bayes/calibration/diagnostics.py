@@ -383,24 +383,6 @@ class Identifiability:
     pairs: tuple[Pair, ...]  # strongest first
 
 
-def identify(
-    posterior: Posterior, values: Mapping[str, Array], prior: Mapping[str, Array]
-) -> Identifiability:
-    """Identifiability of a test's sampled parameters, from its stored draws.
-
-    Everything is on the scale on which each prior is sampled, the logarithm for most: there
-    the priors are independent, and a prior raised to a power widens about its median.
-    """
-    names = posterior.names
-    draws = np.stack([posterior.priors[n].coordinate(values[n]) for n in names])
-    width = np.array([posterior.priors[n].coordinate(prior[n]).std() for n in names])
-    flat = draws.reshape(len(names), -1).T
-    size = np.min(np.nan_to_num([effective_size(coordinate) for coordinate in draws], nan=0.0))
-    return Identifiability(
-        directions=find_directions(names, width, flat, float(size)), pairs=find_pairs(names, flat)
-    )
-
-
 def find_directions(
     names: tuple[str, ...], prior_sd: Array, draws: Array, size: float = np.inf
 ) -> Directions:
