@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from mfd_bayes.applications.buildings import draw_device
+from mfd_bayes.applications.export.c_source import write_source
 from mfd_bayes.applications.export.options import ExportOptions
+from mfd_bayes.applications.export.sets import check_model, middle_level, parameter_sets
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model
@@ -22,6 +24,7 @@ from mfd_bayes.store.files import read_json, remove_file, write_json, write_text
 
 Array = NDArray[np.float64]
 
+TABLES = ("quofem", "opensees", "csv")  # forms of --to that are tables of draws
 FITS = 24  # draws to which a material is fitted
 ABOUT = "about.json"
 _MADE_BY = "mfd_bayes export"
@@ -32,7 +35,7 @@ def export(options: ExportOptions) -> tuple[list[str], list[str]]:
     folder = options.folder
     check_folder(folder, force=options.force)
     run = open_run(options.out, trust=options.trust_model)
-    level = float(np.median([t.trace.reference_actuation for t in run.tests.values()]))
+    level = middle_level(run)
     actuated = run.manifest.axes.actuated
     if options.actuation:
         if not actuated:
@@ -44,12 +47,17 @@ def export(options: ExportOptions) -> tuple[list[str], list[str]]:
     if far and not options.extrapolate:
         raise CampaignError(f"{far}; give --extrapolate to export it all the same")
     remarks = [extrapolation.sentence(run.system) for extrapolation in exceedances]
-    units, samples = _samples(run, level, options)
+    draws = options.draws or (1000 if options.to in TABLES else 100)
+    if options.to not in TABLES:
+        check_model(run, f"--to {options.to}")
+        sets = parameter_sets(run, level, draws, options.seed, extrapolate=options.extrapolate)
+        return write_source(run, sets, folder), remarks
+    units, samples = _samples(run, level, draws, options.seed)
     facts: dict[str, object] = {
         "made_by": _MADE_BY,
         **({"actuation": {"value": level, "unit": run.actuation_unit}} if actuated else {}),
         "variables": units,
-        "draws": options.draws,
+        "draws": draws,
         "seed": options.seed,
         "kind": "new_test",
         "population_sha256": (run.manifest.files or {}).get(POPULATION),
@@ -65,11 +73,10 @@ def export(options: ExportOptions) -> tuple[list[str], list[str]]:
     return sentences, remarks
 
 
-def _samples(run: Run, level: float, options: ExportOptions) -> tuple[dict[str, str], Array]:
+def _samples(run: Run, level: float, draws: int, seed: int) -> tuple[dict[str, str], Array]:
     """Units of a new device's parameters, and start in its gap, by name, and their draws (n, m)."""
     model = next(iter(run.tests.values())).posterior.model
-    device = level, run.actuation_unit, options.draws, options.seed
-    theta, start = draw_device(run.population, model, *device)
+    theta, start = draw_device(run.population, model, level, run.actuation_unit, draws, seed)
     unit_of = {q.name: q.unit for q in model.quantities}
     units = {name: unit_of.get(name, "1") for name in model.parameters}
     if not model.has_gap:
