@@ -1,6 +1,7 @@
 """Parameter sets of each model that no run is behind, and its Python step along a motion."""
 
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,8 +34,19 @@ def made_sets(name, n, seed=1):
     )
 
 
-def stepped(sets, time, x, v, p):
-    """Force of every set by `Model.step`, (n, T), kip."""
+def chosen(sets, rows):
+    """Some of the sets."""
+    rows = list(rows)
+    laws = Laws(*(values[rows] for values in sets.laws))
+    names = tuple(sets.names[row] for row in rows)
+    return replace(sets, names=names, theta=sets.theta[rows], start=sets.start[rows], laws=laws)
+
+
+def stepped(sets, time, x, v, p, *, alone=False):
+    """Force of every set by `Model.step`, (n, T), kip; all together, or each `alone`."""
+    if alone:
+        rows = ([row] for row in range(len(sets.names)))
+        return np.concatenate([stepped(chosen(sets, row), time, x, v, p) for row in rows])
     model, force = sets.model, np.empty((len(sets.names), len(time)))
     state = model.start(sets.theta, sets.start)
     dt = np.diff(time, prepend=time[0])

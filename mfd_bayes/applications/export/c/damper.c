@@ -374,7 +374,7 @@ static int slide(const damper *device, double *z, double *force, double way, dou
     close = fine / device->step;
     loose = coarse / (LOOSE * device->step);
     close = close <= MOST_CLOSE ? ceil(close) : 1.0;
-    loose = loose <= MOST_LOOSE ? ceil(loose) : 1.0;
+    loose = loose <= MOST_CLOSE ? ceil(least(loose, MOST_LOOSE)) : 1.0;
     if (close + loose == 0.0) close = 1.0;
     count = (int)(close + loose);
     if (count < 1) return 1;
