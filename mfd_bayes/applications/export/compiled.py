@@ -45,9 +45,9 @@ def compiler() -> list[str]:
     return words if words and shutil.which(words[0]) else []
 
 
-def compile_library(folder: Path, names: Sequence[str], library: Path) -> None:
+def compile_library(folder: Path, names: Sequence[str], library: Path, *flags: str) -> None:
     """Compile sources of a folder to a shared library; ReportError where that fails."""
-    command = [*compiler(), *FLAGS, *names, "-o", str(library), "-lm"]
+    command = [*compiler(), *FLAGS, *flags, *names, "-o", str(library), "-lm"]
     ended = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if ended.returncode:
         reason = (ended.stderr.strip().splitlines() or ["it said nothing"])[0]

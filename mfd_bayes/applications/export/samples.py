@@ -11,13 +11,14 @@ from scipy.optimize import least_squares
 
 from mfd_bayes.applications.buildings import draw_device
 from mfd_bayes.applications.export.c_source import write_source
+from mfd_bayes.applications.export.fmu import write_fmu
 from mfd_bayes.applications.export.options import ExportOptions
 from mfd_bayes.applications.export.sets import check_model, middle_level, parameter_sets
 from mfd_bayes.errors import CampaignError, StoreError
 from mfd_bayes.friction.bouc_wen import BoucWen
 from mfd_bayes.friction.model import Model
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.folder import POPULATION, check_folder
+from mfd_bayes.runs.folder import POPULATION, check_folder, check_outputs
 from mfd_bayes.runs.run import Run, actuation_level, open_run
 from mfd_bayes.runs.tested_range import Range, extrapolation_messages, extrapolations
 from mfd_bayes.store.files import read_json, remove_file, write_json, write_text
@@ -32,8 +33,12 @@ _MADE_BY = "mfd_bayes export"
 
 def export(options: ExportOptions) -> tuple[list[str], list[str]]:
     """Write the samples of a new device; what was written, and reasons to trust it less."""
-    folder = options.folder
-    check_folder(folder, force=options.force)
+    folder, is_fmu = options.folder, options.to == "fmu"
+    path = folder if folder.suffix == ".fmu" else folder / "damper.fmu"
+    if is_fmu:
+        check_outputs([path], [], force=options.force)
+    else:
+        check_folder(folder, force=options.force)
     run = open_run(options.out, trust=options.trust_model)
     level = middle_level(run)
     actuated = run.manifest.axes.actuated
@@ -51,6 +56,8 @@ def export(options: ExportOptions) -> tuple[list[str], list[str]]:
     if options.to not in TABLES:
         check_model(run, f"--to {options.to}")
         sets = parameter_sets(run, level, draws, options.seed, extrapolate=options.extrapolate)
+        if is_fmu:
+            return write_fmu(run, sets, path, options.fmi), remarks
         return write_source(run, sets, folder), remarks
     units, samples = _samples(run, level, draws, options.seed)
     facts: dict[str, object] = {
