@@ -138,7 +138,7 @@ def readme(run: Run, sets: ParameterSets) -> str:
 def write_source(run: Run, sets: ParameterSets, folder: Path) -> list[str]:
     """Write the step and its sets into a folder; what was written, in sentences."""
     stroke = max((span.highest for span in run.tested if span.name == "stroke"), default=2.0)
-    for name in ("damper.h", "damper.c", "selftest.c"):
+    for name in ("damper.h", "damper.c", "shared.c", "selftest.c"):
         write_text(folder / name, source(name))
     write_text(folder / "damper_sets.c", table(sets))
     write_text(folder / "selftest_data.h", selftest_data(sets, stroke))
