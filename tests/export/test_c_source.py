@@ -115,6 +115,9 @@ def test_slip_forces_of_the_sets_are_those_of_the_data_sheet(finished_run):
     expected = sheet[["nominal", "lower", "upper"]].to_numpy().T
     np.testing.assert_allclose(sets.slip, expected, rtol=1e-12)
     assert np.all(sets.slip[1] < sets.slip[0])
+    more = parameter_sets(run, 1.0, 12)  # of however many draws
+    np.testing.assert_array_equal(more.theta[:3], sets.theta[:3])
+    assert np.ptp(more.theta[3:], axis=0).max() > 0.0
     # the forces themselves, read anew: in slip at mid-stroke, forward and backward
     trace = run.tests["p1000_f0.5"].trace
     force = sets.model.force(sets.theta[:3], trace, sets.start[:3])

@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 
 SIDES = ("slip_fwd", "slip_bwd")  # properties whose bounds the sets have
 PROBABILITY, BASIS = 0.95, "observation"  # of the bounds of the data sheet
+TYPICAL_DRAWS = 1000  # of which the nominal set is the median, however many draws are exported
 CYCLES = 3  # of a motion that was not tested, as the sheet has it
 MOST_LEVELS = 64  # DAMPER_LEVELS of damper.h
 SOLVED = 1e-12  # relative error of a slip force at which its friction is found
@@ -139,7 +140,6 @@ def parameter_sets(
     """
     check_model(run, "a step in C")
     model, population = run.model, run.population
-    names = list(population.design.laws)
     spans = {span.name: (span.lowest, span.highest) for span in run.tested}
     tested = spans.get("actuation", (level, level))
     tested = tested[0] * (1.0 - SAME_LEVEL), tested[1] * (1.0 + SAME_LEVEL)
@@ -148,37 +148,19 @@ def parameter_sets(
     if grid.size > MOST_LEVELS:
         thin = np.linspace(0, grid.size - 1, MOST_LEVELS - 1).astype(np.intp)
         grid = np.union1d(grid[thin], [level])
-    # as in `draw_dampers`
-    index = population.draw_index(draws, level, np.random.default_rng([seed, 0]))
-    numbers = population.draw_numbers(draws, grid.size, np.random.default_rng([seed, 1]))
-    effects = population.level_effects(index, "", grid, numbers.level)
-    setting = TestConditions(level, "", dict(population.design.covariates))
-    theta = {}
-    for kind in ("mean", "new_test"):
-        scatter = kind == "new_test"
-        x = np.add(*population.parts(setting, index, numbers, effects, scatter=scatter))
-        unshared = population.unshared(model, x, numbers.start)
-        theta[kind] = model.theta(unshared | population.values(x))
-        start = unshared["start"]
-    shapes = [np.zeros((draws, len(model.laws))), np.ones((draws, len(model.laws)))]
-    for name, values in zip(("share", "exponent"), shapes, strict=True):
-        pair = getattr(population.draws, name), getattr(population.alternatives, name)
-        table = np.concatenate([pair[0].reshape(population.size, -1), pair[1]])[index]
-        for column, law in enumerate(model.laws):
-            if law in names:
-                values[:, column] = table[:, names.index(law)]
-    laws = Laws(shapes[0], shapes[1], _deviations(model, effects, level, draws))
+    theta, start, laws = _drawn(run, level, grid, draws, seed)
     reference = population.design.reference if run.manifest.axes.actuated else 1.0
-    # of one vector: medians of the shapes, and deviations to the mean factor of the draws
-    share, exponent = (np.median(shape, axis=0)[None] for shape in shapes)
+    # of one vector: medians, and deviations to the mean factor of the draws
+    many = _drawn(run, level, grid, TYPICAL_DRAWS, seed)
+    share, exponent = (np.median(shape, axis=0)[None] for shape in many.laws[:2])
     typical = Laws(share, exponent, np.zeros((1, len(model.laws), grid.size)))
     factor, mean_factor = (
-        _factors(each, grid, reference, level, grid).mean(axis=0) for each in (typical, laws)
+        _factors(each, grid, reference, level, grid).mean(axis=0) for each in (typical, many.laws)
     )
     positive = (factor > 0.0) & (mean_factor > 0.0)
     deviation = np.log(np.where(positive, mean_factor, 1.0) / np.where(positive, factor, 1.0))
     typical = typical._replace(deviation=deviation[None])
-    median, place = np.median(theta["mean"], axis=0), float(np.median(start))
+    median, place = np.median(many.theta["mean"], axis=0), float(np.median(many.start))
     trace, condition, slip = _sheet(run, level)
     fixed = [_with_slip(model, median, place, trace, row, condition) for row in slip]
     repeated = (np.repeat(a, len(FIXED), axis=0) for a in typical)
@@ -197,6 +179,39 @@ def parameter_sets(
         condition,
         slip,
     )
+
+
+class _Drawn(NamedTuple):
+    """Draws of a device: parameters of "mean" and "new_test", (n, p), start, (n,), and laws."""
+
+    theta: Mapping[str, Array]
+    start: Array
+    laws: Laws
+
+
+def _drawn(run: Run, level: float, grid: Array, draws: int, seed: int) -> _Drawn:
+    """Draws of the device at a level, as in `draw_dampers`, and of its laws over a grid."""
+    model, population = run.model, run.population
+    names = list(population.design.laws)
+    index = population.draw_index(draws, level, np.random.default_rng([seed, 0]))
+    numbers = population.draw_numbers(draws, grid.size, np.random.default_rng([seed, 1]))
+    effects = population.level_effects(index, "", grid, numbers.level)
+    setting = TestConditions(level, "", dict(population.design.covariates))
+    theta = {}
+    for kind in ("mean", "new_test"):
+        scatter = kind == "new_test"
+        x = np.add(*population.parts(setting, index, numbers, effects, scatter=scatter))
+        unshared = population.unshared(model, x, numbers.start)
+        theta[kind] = model.theta(unshared | population.values(x))
+    shapes = [np.zeros((draws, len(model.laws))), np.ones((draws, len(model.laws)))]
+    for name, values in zip(("share", "exponent"), shapes, strict=True):
+        pair = getattr(population.draws, name), getattr(population.alternatives, name)
+        table = np.concatenate([pair[0].reshape(population.size, -1), pair[1]])[index]
+        for column, law in enumerate(model.laws):
+            if law in names:
+                values[:, column] = table[:, names.index(law)]
+    laws = Laws(shapes[0], shapes[1], _deviations(model, effects, level, draws))
+    return _Drawn(theta, unshared["start"], laws)
 
 
 def _deviations(model: Model, effects: LevelEffects, level: float, draws: int) -> Array:

@@ -189,7 +189,7 @@ static double curve_slope(double w, double power, double soft) {
     return most(w < 0.0 ? 1.0 + soft * grown : fabs(grown - 1.0), 1e-300);
 }
 
-/* w = z / F_y against xi = k |x| / F_y: dw/dxi = 1 + (2 beta - 1) |w|^n below 0, 1 - |w|^n above. */
+/* w = z / F_y against xi = k |x| / F_y: dw/dxi = 1 + (2 beta - 1) |w|^n below 0, else 1 - |w|^n. */
 static void prepare_curve(damper *device) {
     /* nodes and weights of Gauss and Legendre */
     static const double node[4] = {-0.8611363115940526, -0.33998104358485626, 0.33998104358485626,
@@ -289,11 +289,18 @@ static void hysteresis(const damper *device, damper_state *s, const double *fact
 
 static double softplus(double a) { return log1p(exp(-fabs(a))) + most(a, 0.0); }
 
-/* Force of the spring at a deflection, kip, and its stiffness, kip/in. */
+/* ln(1 + e) of e >= 0, which is e itself where the square is rounding */
+static double log_of(double e) { return e < 1e-8 ? e : log1p(e); }
+
+/* Force of the spring at a deflection, kip, and its stiffness, kip/in. One exponential serves the
+ * softplus and its derivative, the logistic function. */
 static double spring(const double *c, double z, double *slope) {
-    double a = z / c[3], half = 0.5 * c[2] / c[3];
-    *slope = c[0] * logistic(a - half) + c[1] * logistic(-a - half) + c[4];
-    return c[0] * c[3] * softplus(a - half) - c[1] * c[3] * softplus(-a - half) + c[4] * z;
+    double forward = (z - 0.5 * c[2]) / c[3], backward = -(z + 0.5 * c[2]) / c[3];
+    double e = exp(-fabs(forward)), f = exp(-fabs(backward));
+    *slope = c[0] * (forward > 0.0 ? 1.0 : e) / (1.0 + e) +
+             c[1] * (backward > 0.0 ? 1.0 : f) / (1.0 + f) + c[4];
+    return c[0] * c[3] * (log_of(e) + most(forward, 0.0)) -
+           c[1] * c[3] * (log_of(f) + most(backward, 0.0)) + c[4] * z;
 }
 
 /* About the deflection s z where s G is a force of at least 0. */
@@ -363,10 +370,10 @@ static int slide(const damper *device, double *z, double *force, double way, dou
     double n = c[7], rate = steepest(device), blunt = n < 2.0 ? CLOSE_BLUNT : CLOSE;
     double error = (rate / blunt) * (rate / blunt), bend = 1.0 - 1.0 / n;
     double level[STEPS], bound[STEPS], length[STEPS], h[STEPS], at[STEPS + 1], step[STEPS];
-    double slope[STEPS], now[STEPS], stuck[STEPS];
+    double slipped[STEPS], value, stiff, first_log, first_share;
     double speed = way / dt, stribeck_share = exp(-speed * speed / (c[11] * c[11]));
-    double fine, coarse, close, loose, sum, offset, ended = 0.0;
-    int count, k, i, side = sign < 0.0, at_once = 0;
+    double fine, coarse, close, loose, sum, offset, ended;
+    int stuck[STEPS], count, k, i, side = sign < 0.0;
 
     way = fabs(way);
     fine = least(most(device->window - travel, 0.0), way);
@@ -380,21 +387,17 @@ static int slide(const damper *device, double *z, double *force, double way, dou
     if (count < 1) return 1;
     for (k = 0, sum = 0.0; k < count; k++) {
         double share, factor, slip;
-        int first = k < (int)close;
+        int first = k < (int)close, same = k > 0 && before[side] == after[side];
         h[k] = first ? fine / close : coarse / most(loose, 1.0);
         offset = first ? 0.0 : fine - close * h[k];
         share = between((offset + (k + 0.5) * h[k]) / most(way, 1e-300), 0.0, 1.0);
         factor = most(before[side] + share * (after[side] - before[side]), FLOOR_SHARE);
         slip = c[5 + side] * (1.0 + c[9 + side] * stribeck_share) * factor;
         length[k] = least(factor, 1.0) / rate;
-        level[k] = log(slip);
-        bound[k] = about(c, slip, sign);
-        stuck[k] = 0.0;
-        if (h[k] > STIFF * length[k]) {
-            stuck[k] = 1.0;
-            at_once = 1;
-            now[k] = sign * deflection(c, sign * exp(level[k]), 1e-13);
-        }
+        level[k] = same ? level[k - 1] : log(slip);
+        bound[k] = same ? bound[k - 1] : about(c, slip, sign);
+        stuck[k] = h[k] > STIFF * length[k]; /* so long that slip sets in at once, or not at all */
+        if (stuck[k]) slipped[k] = sign * deflection(c, sign * exp(level[k]), 1e-13);
     }
     /* a first guess: unloading, a rounded corner where slip sets in, and slip */
     at[0] = *z;
@@ -404,41 +407,40 @@ static int slide(const damper *device, double *z, double *force, double way, dou
         sum += h[k];
         at[k + 1] = sign * (bound[k] - softplus((bound[k] - sum) * rate - offset) / rate);
     }
+    value = spring(c, at[0], &stiff);
+    first_log = push(sign * value, stiff, n, &first_share);
     for (i = 0; i < 100; i++) {
-        double moved = 0.0, log0, share0, delta = 0.0, value;
-        value = spring(c, at[0], &slope[0]);
-        log0 = push(sign * value, slope[0], n, &share0);
+        double moved = 0.0, log0 = first_log, share0 = first_share, delta = 0.0, last = 0.0;
         for (k = 0; k < count; k++) {
-            double z0 = at[k], end = at[k + 1], log1, share1, p, f, b, cc, t, decay, gain;
-            double start = log0 - n * level[k], start_share = share0;
+            double z0 = at[k], end = at[k + 1], start = log0 - n * level[k], share = share0;
+            double p, f, b, cf, t, decay, gain, ready;
             int exceeds = start > OVER && h[k] > 0.0;
-            value = spring(c, end, &slope[k]);
-            log1 = push(sign * value, slope[k], n, &share1);
-            log0 = log1;
-            share0 = share1;
+            /* (G/g)^n before the step: that after the last one where g is the same */
+            ready = k && level[k] == level[k - 1] && start <= OVER ? last : exp(least(start, OVER));
             if (exceeds) { /* what is far beyond slip is let go at once */
-                double most_force = exp(level[k] + OVER / n), slope0;
-                z0 = deflection(c, sign * most_force, 1e-13);
-                spring(c, z0, &slope0);
-                start_share = n * slope0 / most_force;
+                double largest = exp(level[k] + OVER / n);
+                z0 = deflection(c, sign * largest, 1e-13);
+                spring(c, z0, &share);
+                share *= n / largest;
             }
-            p = exp(least(log1 - n * level[k], STIFF));
+            value = spring(c, end, &stiff);
+            log0 = push(sign * value, stiff, n, &share0);
+            p = last = exp(least(log0 - n * level[k], STIFF));
             f = 1.0 - p;
-            b = share1 * h[k];
-            cc = b * p;
-            gain = f * (6.0 + cc);
-            t = cc * (6.0 + cc - bend * b * f) + 12.0;
-            p = exp(least(start, OVER));
-            f = 1.0 - p;
-            b = start_share * h[k];
-            cc = b * p;
-            gain += f * (6.0 - cc);
-            decay = exceeds ? 0.0 : (12.0 - cc * (6.0 - cc + bend * b * f)) / t;
+            b = share0 * h[k];
+            cf = b * p;
+            gain = f * (6.0 + cf);
+            t = cf * (6.0 + cf - bend * b * f) + 12.0;
+            f = 1.0 - ready;
+            b = share * h[k];
+            cf = b * ready;
+            gain += f * (6.0 - cf);
+            decay = exceeds ? 0.0 : (12.0 - cf * (6.0 - cf + bend * b * f)) / t;
             gain = (gain * sign * h[k] + 12.0 * (z0 - end)) / t;
-            if (at_once && stuck[k] != 0.0) {
+            if (stuck[k]) {
                 double elastic = sign * at[k] + h[k];
-                decay = elastic < now[k];
-                gain = sign * least(elastic, now[k]) - end;
+                decay = elastic < slipped[k];
+                gain = sign * least(elastic, slipped[k]) - end;
             }
             delta = (k ? decay * delta : 0.0) + gain;
             step[k] = delta;
@@ -446,7 +448,7 @@ static int slide(const damper *device, double *z, double *force, double way, dou
         }
         moved *= error;
         if (!isfinite(moved)) return 1;
-        ended = value + slope[count - 1] * step[count - 1];
+        ended = value + stiff * step[count - 1];
         for (k = 0; k < count; k++) {
             at[k + 1] += step[k];
             if (moved > FAR_OFF && i < 6 && h[k] > 0.0)
@@ -482,7 +484,7 @@ static int backlash(const damper *device, damper_state *s, const double *factor,
 
 /* --- all models */
 
-#define SMOOTH 0.1 /* share of a step by which a smooth turn may differ from constant acceleration */
+#define SMOOTH 0.1 /* share of a step by which a turn may differ from constant acceleration */
 
 const damper_set *damper_find(const char *name) {
     int i, k;

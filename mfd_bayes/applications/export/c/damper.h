@@ -47,7 +47,7 @@
 enum { DAMPER_THREE_STAGE, DAMPER_LUGRE, DAMPER_BOUC_WEN, DAMPER_BACKLASH };
 enum { DAMPER_PRESSURE, DAMPER_FORCE, DAMPER_OTHER, DAMPER_NO_ACTUATION };
 
-/* What damper_start and damper_step return. Below 0 nothing was done, and the state is as before. */
+/* What damper_start and damper_step return. Below 0 nothing was done: the state is as before. */
 enum {
     DAMPER_OK = 0,
     DAMPER_UNTESTED = 1,        /* done, but at an actuation outside of the tested range */
@@ -98,7 +98,7 @@ typedef struct {
 typedef struct {
     const damper_set *set;
     double at_level[DAMPER_LAWS];                   /* r(level) of each law */
-    double kinetic[2], excess[2];                   /* Stribeck curve over sigma0, forward, backward */
+    double kinetic[2], excess[2];                   /* Stribeck curve over sigma0, both ways */
     double width, ell, early, late, build_up, jump; /* the gap of the three stages */
     double after[2];
     double onset[2], step, window;                  /* of the backlash: where slip sets in */
@@ -119,7 +119,7 @@ typedef struct {
     } memory;
 } damper_state;
 
-/* Sets by name: "nominal", "lower", "upper", or a draw's number from "1"; NULL where there is none. */
+/* Sets by name: "nominal", "lower", "upper", or a draw's number from "1"; NULL for others. */
 extern const damper_set damper_sets[];
 extern const int damper_set_count;
 const damper_set *damper_find(const char *name);

@@ -30,13 +30,15 @@ static void write_log(void *instance, int status, const char *message) {
 FMU_EXPORT const char *NAME(fmi2GetTypesPlatform)(void) { return "default"; }
 FMU_EXPORT const char *NAME(fmi2GetVersion)(void) { return "2.0"; }
 
-FMU_EXPORT int NAME(fmi2SetDebugLogging)(void *c, int on, size_t n, const char *const categories[]) {
+FMU_EXPORT int NAME(fmi2SetDebugLogging)(void *c, int on, size_t n,
+                                         const char *const categories[]) {
     UNUSED(c), UNUSED(on), UNUSED(n), UNUSED(categories);
     return FMU_OK;
 }
 
-FMU_EXPORT void *NAME(fmi2Instantiate)(const char *name, int type, const char *token, const char *resources,
-                            const fmi2_callbacks *callbacks, int visible, int logging) {
+FMU_EXPORT void *NAME(fmi2Instantiate)(const char *name, int type, const char *token,
+                                       const char *resources, const fmi2_callbacks *callbacks,
+                                       int visible, int logging) {
     fmu_instance *fmu;
     UNUSED(resources), UNUSED(visible), UNUSED(logging);
     fmu = type == 1 ? fmu_new(name, token, write_log) : NULL; /* 1: co-simulation */
@@ -55,8 +57,8 @@ FMU_EXPORT void *NAME(fmi2Instantiate)(const char *name, int type, const char *t
 
 FMU_EXPORT void NAME(fmi2FreeInstance)(void *c) { fmu_free(c); }
 
-FMU_EXPORT int NAME(fmi2SetupExperiment)(void *c, int tolerant, double tolerance, double start, int stops,
-                              double stop) {
+FMU_EXPORT int NAME(fmi2SetupExperiment)(void *c, int tolerant, double tolerance, double start,
+                                         int stops, double stop) {
     UNUSED(tolerant), UNUSED(tolerance), UNUSED(stops), UNUSED(stop);
     ((fmu_instance *)c)->now.time = start;
     return FMU_OK;
@@ -98,7 +100,8 @@ FMU_EXPORT int NAME(fmi2SetInteger)(void *c, const unsigned r[], size_t n, const
 FMU_EXPORT int NAME(fmi2GetString)(void *c, const unsigned r[], size_t n, const char *value[]) {
     return fmu_get_string(c, r, n, value);
 }
-FMU_EXPORT int NAME(fmi2SetString)(void *c, const unsigned r[], size_t n, const char *const value[]) {
+FMU_EXPORT int NAME(fmi2SetString)(void *c, const unsigned r[], size_t n,
+                                   const char *const value[]) {
     return fmu_set_string(c, r, n, value);
 }
 FMU_EXPORT int NAME(fmi2GetBoolean)(void *c, const unsigned r[], size_t n, int value[]) {
@@ -124,7 +127,8 @@ FMU_EXPORT int NAME(fmi2SerializedFMUstateSize)(void *c, void *stored, size_t *s
 FMU_EXPORT int NAME(fmi2SerializeFMUstate)(void *c, void *stored, char bytes[], size_t size) {
     return fmu_serialize(c, stored, bytes, size);
 }
-FMU_EXPORT int NAME(fmi2DeSerializeFMUstate)(void *c, const char bytes[], size_t size, void **stored) {
+FMU_EXPORT int NAME(fmi2DeSerializeFMUstate)(void *c, const char bytes[], size_t size,
+                                             void **stored) {
     return fmu_deserialize(c, bytes, size, stored);
 }
 
@@ -140,17 +144,19 @@ FMU_EXPORT int NAME(fmi2GetDirectionalDerivative)(void *c, const unsigned unknow
     UNUSED(unknown), UNUSED(n), UNUSED(known), UNUSED(m), UNUSED(seed), UNUSED(value);
     return fmu_fails(c, "there are no derivatives");
 }
-FMU_EXPORT int NAME(fmi2SetRealInputDerivatives)(void *c, const unsigned r[], size_t n, const int order[],
-                                      const double value[]) {
+FMU_EXPORT int NAME(fmi2SetRealInputDerivatives)(void *c, const unsigned r[], size_t n,
+                                                 const int order[], const double value[]) {
     UNUSED(r), UNUSED(n), UNUSED(order), UNUSED(value);
     return fmu_fails(c, "there are no derivatives");
 }
-FMU_EXPORT int NAME(fmi2GetRealOutputDerivatives)(void *c, const unsigned r[], size_t n, const int order[],
-                                       double value[]) {
+FMU_EXPORT int NAME(fmi2GetRealOutputDerivatives)(void *c, const unsigned r[], size_t n,
+                                                  const int order[], double value[]) {
     UNUSED(r), UNUSED(n), UNUSED(order), UNUSED(value);
     return fmu_fails(c, "there are no derivatives");
 }
-FMU_EXPORT int NAME(fmi2CancelStep)(void *c) { return fmu_fails(c, "a step ends before it can be cancelled"); }
+FMU_EXPORT int NAME(fmi2CancelStep)(void *c) {
+    return fmu_fails(c, "a step ends before it can be cancelled");
+}
 FMU_EXPORT int NAME(fmi2GetStatus)(void *c, int kind, int *value) {
     UNUSED(c), UNUSED(kind), UNUSED(value);
     return FMU_DISCARD;

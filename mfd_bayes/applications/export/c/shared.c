@@ -1,4 +1,4 @@
-/* What a program that loads damper.c as a shared library needs: sizes, and a whole motion at once. */
+/* What a program that loads damper.c as a shared library needs: sizes, and a whole motion. */
 #include "damper.h"
 
 #include <stddef.h>
@@ -6,7 +6,7 @@
 size_t damper_size(void) { return sizeof(damper); }
 size_t damper_state_size(void) { return sizeof(damper_state); }
 
-/* Forces along a motion of n samples, dt[0] being without effect; the first code that is below 0. */
+/* Forces along a motion of n samples, dt[0] being without effect; the first code below 0. */
 int damper_motion(const damper *device, int direction, int n, const double *dt,
                   const double *displacement, const double *velocity, const double *actuation,
                   double *force) {
