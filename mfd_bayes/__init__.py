@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from mfd_bayes.applications.buildings.ground import Ground, read_ground
     from mfd_bayes.applications.buildings.respond import respond
     from mfd_bayes.applications.buildings.response import Response
+    from mfd_bayes.applications.export.compiled import compile_step
     from mfd_bayes.applications.next_test.next_test import next_test
     from mfd_bayes.applications.next_test.study import Advice
     from mfd_bayes.applications.properties.page import conformity_table
@@ -46,6 +47,7 @@ _HOMES = {
     "Building": "mfd_bayes.applications.buildings.building",
     "calibrate": "mfd_bayes.pipeline.door",
     "Candidate": "mfd_bayes.campaign.candidate",
+    "compile_step": "mfd_bayes.applications.export.compiled",
     "conformity_table": "mfd_bayes.applications.properties.page",
     "demo": "mfd_bayes.pipeline.door",
     "Draws": "mfd_bayes.calibration.sampling",
@@ -110,6 +112,7 @@ __all__ = [
     "Trace",
     "accept",
     "calibrate",
+    "compile_step",
     "conformity_table",
     "demo",
     "inspect",

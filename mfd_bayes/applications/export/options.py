@@ -32,26 +32,35 @@ class DrawsOptions:
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Write joint samples of a new device's parameters for other programs.
+    """Write joint samples of a new device's parameters, or its step, for other programs.
 
     quofem: a column per variable without a header, grouped so that correlations are
     kept, and dakotaTab.out. opensees: a material fitted to predicted loops, with its
     misfit. csv: one table with names and units. All are in kip, in and ksi, those of a
-    model of your own in its units, which about.json has. Outside of the tested
-    actuations it warns, far outside it refuses.
+    model of your own in its units, which about.json has. c: the step of the model in
+    C99 with parameter sets (nominal, lower and upper bound, draws) and a self-test.
+    fmu: the same as an FMU for co-simulation, in SI units, with sources inside.
+    Outside of the tested actuations it warns, far outside it refuses.
 
     Example:
       mfd-bayes export out --to quofem --actuation "1000 psi" -o samples
+      mfd-bayes export out --to c -o damper
+      mfd-bayes export out --to fmu --fmi 3.0 -o damper.fmu
     """
 
     out: RunFolder
-    to: Annotated[Literal["quofem", "opensees", "csv"], Option(help="Who is to read it.")]
+    to: Annotated[
+        Literal["quofem", "opensees", "csv", "c", "fmu"], Option(help="Who is to read it.")
+    ]
     folder: Folder = Path("export")
     actuation: Annotated[
         str, Option(help='Such as "1000 psi"; the middle of the tests\' by default.')
     ] = ""
-    draws: Annotated[int, Option(min=10, max=20000)] = 1000
+    draws: Annotated[
+        int | None, Option(min=10, max=20000, help="1000 by default; of a step 100.")
+    ] = None
     seed: Seed = 1
+    fmi: Annotated[Literal["2.0", "3.0"], Option(help="Version of the standard of an FMU.")] = "2.0"
     force: Replace = False
     extrapolate: Annotated[
         bool, Option("--extrapolate", help="Export also far outside of the tested range.")
