@@ -142,10 +142,14 @@ def good(options):
         return devices
 
     fine = judged(number, {})
+    by_prototype = [np.mean([d.p_value < 0.05 for d in fine[i::count]]) for i in range(count)]
     print(f"{count} runs of 12 tests of a prototype, {CYCLES} cycles of each device; limits 15 %")
     rows = [counted("good", fine)]
     rows += [counted(name, judged(faulty, f), expected) for name, (f, expected) in FAULTS.items()]
     table(rows)
+    error = np.std(by_prototype, ddof=1) / np.sqrt(count) if count > 1 else np.nan
+    words = ", ".join(f"{100 * share_of:.0f}" for share_of in by_prototype)
+    print(f"\nGood devices that differ, by prototype: {words} %; error {100 * error:.1f} %")
     print("\nPower at a good device: a deviation that is found with 0.80")
     detectable = pd.DataFrame([device.rows["detectable"] for device in fine]).mean()
     print(detectable.dropna().round(1).to_string())
