@@ -73,6 +73,7 @@ _HOMES = {
     "Response": "mfd_bayes.applications.buildings.response",
     "Run": "mfd_bayes.runs.run",
     "sample": "mfd_bayes.calibration.sampling",
+    "sheet_over_models": "mfd_bayes.applications.comparison.datasheets",
     "ThreeStage": "mfd_bayes.friction.three_stage",
     "Trace": "mfd_bayes.records.trace",
 }
@@ -117,6 +118,7 @@ __all__ = [
     "read_record",
     "respond",
     "sample",
+    "sheet_over_models",
 ]
 
 
