@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from mfd_bayes.applications.next_test.next_test import next_test
     from mfd_bayes.applications.next_test.study import Advice
     from mfd_bayes.applications.properties.page import conformity_table
+    from mfd_bayes.applications.reweighing.reweighing import Reweighing, reweigh
     from mfd_bayes.calibration.effort import Effort
     from mfd_bayes.calibration.posterior import Posterior
     from mfd_bayes.calibration.priors import Prior, load_priors
@@ -71,6 +72,8 @@ _HOMES = {
     "Record": "mfd_bayes.records.record",
     "respond": "mfd_bayes.applications.buildings.respond",
     "Response": "mfd_bayes.applications.buildings.response",
+    "reweigh": "mfd_bayes.applications.reweighing.reweighing",
+    "Reweighing": "mfd_bayes.applications.reweighing.reweighing",
     "Run": "mfd_bayes.runs.run",
     "sample": "mfd_bayes.calibration.sampling",
     "sheet_over_models": "mfd_bayes.applications.comparison.datasheets",
@@ -102,6 +105,7 @@ __all__ = [
     "Prior",
     "Record",
     "Response",
+    "Reweighing",
     "Run",
     "ThreeStage",
     "Trace",
@@ -117,6 +121,7 @@ __all__ = [
     "read_ground",
     "read_record",
     "respond",
+    "reweigh",
     "sample",
     "sheet_over_models",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -113,15 +114,39 @@ def _transition(value: Array, previous: Array, decay: Array, dof: Array | None) 
     return np.asarray(peak - 0.5 * (nu + 1) * np.log1p(squares / nu) - 0.5 * np.log(shrink))
 
 
-def cycles_of_draws(posterior: Posterior, values: Mapping[Any, Any]) -> xr.Dataset:
-    """Log density of each cycle given all others, (chain, draw, cycle), of draws by name."""
+def density_groups(
+    posterior: Posterior, values: Mapping[Any, Any], log_likelihood: Array
+) -> dict[str, xr.Dataset]:
+    """Groups `log_prior` and `log_likelihood` of ArviZ, of draws by name, (chain, draw) each.
+
+    The log prior is that of each quantity's coordinate, the logarithm of most: there a prior that
+    is raised to a power widens about its median. Of the log likelihood, `force` (chain, draw,
+    cycle) is the log density of each cycle given all others, by which a cycle is left out.
+    Neighbours are correlated, so that these do not sum to the joint log likelihood (chain, draw):
+    `coupling` is what the sum lacks. A record of too few cycles has `all`, the joint one, in place
+    of both.
+    """
     import xarray as xr
 
     columns = {str(name): np.asarray(draws) for name, draws in values.items()}
-    shape = next(iter(columns.values())).shape
-    flat = {name: draws.reshape(-1) for name, draws in columns.items()}
-    cycles = find_cycles(posterior.trace, posterior.first)
-    log_density = cycle_log_likelihood(posterior, flat, cycles)[0]
-    force = (("chain", "draw", "cycle"), log_density.reshape(*shape, -1))
-    numbers = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
-    return xr.Dataset({"force": force}, coords=numbers)
+    numbers = dict(zip(("chain", "draw"), map(np.arange, log_likelihood.shape), strict=True))
+    priors = {
+        name: (("chain", "draw"), prior.log_density(prior.coordinate(columns[name])))
+        for name, prior in posterior.priors.items()
+        if not prior.fixed and name in columns
+    }
+    terms: dict[str, Any] = {"all": (("chain", "draw"), log_likelihood)}
+    with suppress(FitError):  # too few cycles to leave one out
+        cycles = find_cycles(posterior.trace, posterior.first)
+        flat = {name: draws.reshape(-1) for name, draws in columns.items()}
+        conditional = cycle_log_likelihood(posterior, flat, cycles)[0]
+        conditional = conditional.reshape(*log_likelihood.shape, -1)
+        coupling = log_likelihood - conditional.sum(axis=2)
+        terms = {
+            "force": (("chain", "draw", "cycle"), conditional),
+            "coupling": (("chain", "draw"), coupling),
+        }
+    return {
+        "log_prior": xr.Dataset(priors, coords=numbers),
+        "log_likelihood": xr.Dataset(terms, coords=numbers),
+    }

@@ -218,6 +218,13 @@ class Prior:
             in_range = (np.abs(x) < RANGE) & (x - self.lower > 1.0 / RANGE)
         return np.where(in_range & np.isfinite(density), density, -np.inf)
 
+    def log_density_of(self, x: Array) -> Array:
+        """Log density of x itself, without a Jacobian; −inf outside its support, same shape."""
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            density = FAMILIES[self.family].log_density(x, self.figures)
+        in_support = (x >= self.lower) & (x <= self.upper) & np.isfinite(density)
+        return np.where(in_support, density, -np.inf)
+
     def draw(self, rng: np.random.Generator, n: int) -> Array:
         """Independent draws of x, (n,)."""
         return FAMILIES[self.family].draw(rng, n, self.figures)

@@ -56,6 +56,7 @@ class Task:
     initial: str
     effort: str | Effort
     seed: tuple[int, ...]
+    begin: Array | None = None  # (m, dim), points near its modes, where some are known
 
     @property
     def makes(self) -> tuple[str, ...]:
@@ -89,6 +90,7 @@ class Task:
                 self.effort,
                 self.seed,
                 report=lambda progress: observe(Step(self.id, "sampling", progress)),
+                begin=self.begin,
             )
             _store(folder / self.file, self, posterior, draws)
         except StoreError:
@@ -197,8 +199,10 @@ class TestResult:
     def to_inference_data(self) -> Any:
         """What ArviZ's functions take: InferenceData, or a DataTree from ArviZ 1 on.
 
-        Its groups are those of `posterior.nc`, and `log_likelihood`: the log density of each cycle
-        given all others, by which `az.loo` leaves out whole cycles. That takes some seconds.
+        Its groups are those of `posterior.nc`, and `log_prior` and `log_likelihood`, whose terms
+        sum to the joint densities, as `psense` needs them. `force` of the latter is the log density
+        of each cycle given all others: `az.loo(data, var_name="force")` leaves out whole cycles.
+        That takes some seconds.
         """
         return needed(self._backend).to_inference_data(self)
 

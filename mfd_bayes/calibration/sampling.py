@@ -38,6 +38,7 @@ from mfd_bayes.calibration.proposal import (
     fit_proposal,
     laplace_mixture,
     log_evidence,
+    maximize,
 )
 from mfd_bayes.errors import FitError, whole_number
 from mfd_bayes.jobs.job import Progress
@@ -435,26 +436,22 @@ class Draws:
         """What ArviZ's functions take: InferenceData, or a DataTree from ArviZ 1 on.
 
         Its groups are posterior, sample_stats (lp), prior, log_prior, log_likelihood, observed_data
-        and constant_data. The log likelihood is that of each cycle given all others, by which
-        `az.loo` leaves out whole cycles; of a record of fewer than three it is that of all. The
-        prior has as many draws as a chain, by `seed`.
+        and constant_data. Both densities sum to the joint ones, as `psense` needs them; of the log
+        likelihood, `force` is that of each cycle given all others, by which
+        `az.loo(data, var_name="force")` leaves out whole cycles. A record of fewer than three has
+        the sum alone. The prior has as many draws as a chain, by `seed`.
         """
-        from mfd_bayes.calibration.cycles import cycles_of_draws
+        from mfd_bayes.calibration.cycles import density_groups
         from mfd_bayes.store.netcdf import arviz_data, draws_group, trace_groups
 
         unit_of, n = units(self.posterior.model), self.q.shape[1]
-        try:
-            likelihood = cycles_of_draws(self.posterior, self.values)
-        except FitError:  # too few cycles to leave one out
-            likelihood = draws_group({"all": self.log_likelihood})
         of_prior = self.posterior.sample_prior(n, seed)
         return arviz_data(
             {
                 "posterior": draws_group(self.values, unit_of),
                 "sample_stats": draws_group({"lp": self.log_prob}),
                 "prior": draws_group({k: v[None] for k, v in of_prior.items()}, unit_of),
-                "log_prior": draws_group({"all": self.log_prior}),
-                "log_likelihood": likelihood,
+                **density_groups(self.posterior, self.values, self.log_likelihood),
                 **trace_groups(self.posterior.trace),
             }
         )
@@ -482,6 +479,7 @@ def sample(
     seed: int | Sequence[int] = 0,
     *,
     report: Callable[[Progress], None] | None = None,
+    begin: Array | None = None,
 ) -> Draws:
     """Posterior draws of one test, in four independent ensembles or more.
 
@@ -492,6 +490,9 @@ def sample(
         The same seed gives the same draws. A sequence of one number is that number.
     report : callable, optional
         Called with a `Progress` after every block of steps.
+    begin : (m, dim), optional
+        Points near which the modes are, such as draws under another prior; they are looked for
+        from the prior when left out.
 
     Raises
     ------
@@ -504,7 +505,10 @@ def sample(
     if report is not None and not callable(report):
         raise FitError(f"report must be a function of one argument, a Progress, got {report!r}")
     settings, rng = find_effort(effort), generator_of(seed)
-    modes = find_modes(posterior, rng, starts=settings.starts)
+    if begin is None:
+        modes = find_modes(posterior, rng, starts=settings.starts)
+    else:
+        modes = _modes_near(posterior, begin, rng)
     chains = sample_density(
         posterior.log_prob, modes, settings, rng, derived=posterior.derived, report=report
     )
@@ -526,6 +530,17 @@ def sample(
         wall_time=time.perf_counter() - began,
         posterior=posterior,
     )
+
+
+def _modes_near(posterior: Posterior, begin: Array, rng: np.random.Generator) -> tuple[Mode, ...]:
+    """Distinct modes that are climbed from points (m, dim), best first."""
+    sd = posterior.coordinates(posterior.sample_prior(2000, rng)).std(axis=0)
+    modes: list[Mode] = []
+    for point in begin:
+        mode = maximize(posterior.log_prob, point, sd)
+        if not any(previous.is_near(mode.q, mode.log_prob) for previous in modes):
+            modes.append(mode)
+    return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
 
 
 def generator_of(seed: int | Sequence[int]) -> np.random.Generator:

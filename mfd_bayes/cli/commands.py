@@ -47,6 +47,7 @@ _PANELS = {
         ("accept", "acceptance", "print and file FOLDER/DEVICE.html; test a rejected device again"),
         ("crossvalidate", "pipeline", "open out/report.html, then mfd-bayes compare --help"),
         ("rehearse", "rehearsal", "open out/rehearsal.html, then mfd-bayes crossvalidate --help"),
+        ("reweigh", "reweighing", "open reweighed.html; with -o then mfd-bayes report OUT2"),
         ("compare", "pipeline", "open out/MODEL/report.html of the model that is favoured"),
         (
             "draws",

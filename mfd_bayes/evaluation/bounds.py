@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfd_bayes.evaluation.measurement import gains_of
 from mfd_bayes.evaluation.properties import (
@@ -20,12 +21,11 @@ from mfd_bayes.population.design import LEVELS, levels_of, setting_of, with_zero
 from mfd_bayes.population.peaks import certain
 from mfd_bayes.records.cycles import PROPERTIES, cycle_values
 from mfd_bayes.records.loops import find_loops
+from mfd_bayes.records.record import NO_ACTUATION
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.run import Run, actuation_level
 
-if TYPE_CHECKING:
-    pass
-
+Index = NDArray[np.intp]
 
 # --- for design
 
@@ -92,6 +92,19 @@ def drawn_properties(
             for name in band_properties[0]
         }
     return properties
+
+
+def draw_index(run: Run, trace: Trace, places: Sequence[tuple[str, str]]) -> Index:
+    """Numbers of the population's draws behind those of `drawn_properties`, (n,), in their order.
+
+    Those of another device, which are of one place, have none here.
+    """
+    level = trace.reference_actuation
+    if not run.manifest.axes.actuated:
+        level = actuation_level(run, NO_ACTUATION)
+    # as `Predictor.draw` begins, whose seed is 0 in every place
+    index = run.population.draw_index(n_draws(places), level, np.random.default_rng(0))
+    return np.tile(index, len(places))
 
 
 def with_gains(

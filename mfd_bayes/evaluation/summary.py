@@ -24,7 +24,7 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import SCALED, units
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import MfdError, StoreError
-from mfd_bayes.evaluation import checks
+from mfd_bayes.evaluation import checks, sensitivity
 from mfd_bayes.evaluation.assessment import (
     CALIBRATION,
     COVERAGE,
@@ -147,6 +147,7 @@ def assess(run: Run, jobs: int = 1) -> CampaignView:
         systems=both_systems(run.system),
         tested=run.tested,
         drifts=drift_rows(run) if table else (),
+        sensitivity=sensitivity.law_rows(run, sensitivity.JointDensity.of(run)),
         model=run.model,
     )
 
@@ -229,6 +230,7 @@ def _provenance(manifest: Manifest) -> dict[str, str]:
         "platform": manifest.platform,
         "versions": ", ".join(f"{k} {v}" for k, v in manifest.versions.items()),
     }
+    facts |= {f"draws of {name}": how for name, how in manifest.reweighed.items()}
     for number, machine in enumerate(manifest.machines):
         name = f"machine {number + 1}" if number else "machine"
         facts[name] = ", ".join(f"{component} {words}" for component, words in machine.items())
@@ -305,6 +307,7 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
         modes=_modes(facts),
         stage=None if stage is None else stage[0],
         travel=None if stage is None else posterior.model.travel(*inputs)[0],
+        sensitivity=sensitivity.test_rows(test, stored),
     )
 
 

@@ -87,6 +87,7 @@ class TestView:
     loop_estimates: Rows = ()
     modes: tuple[Mapping[str, float], ...] = ()
     begun: str = ""
+    sensitivity: Rows = ()  # whether its parameters follow the prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +183,7 @@ class Datasheet:
     `first_three` is the mean of the first three cycles of a test, the nominal value of standards.
     `lower_ratio` and `upper_ratio` are the bounds over `nominal`, `lower_ratio_other` and
     `upper_ratio_other` those of another device tested: NaN where all tests are of one.
+    `sensitivity` says of nominal values and bounds whether they follow the prior.
     """
 
     rows: pd.DataFrame
@@ -190,6 +192,7 @@ class Datasheet:
     verdict: tuple[Message, ...]  # three; a fourth of other devices, where there are several
     not_known: tuple[Message, ...]  # what a standard asks for and these tests cannot tell
     formulas: Mapping[str, str]  # how each quantity is computed
+    sensitivity: Rows = ()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -223,6 +226,7 @@ class CampaignView(Assessment):
     systems: tuple[UnitSystem, UnitSystem] = SYSTEMS
     tested: tuple[Range, ...] = ()
     drifts: tuple[DriftRow, ...] = ()
+    sensitivity: Rows = ()  # whether constants of the laws follow the prior
     model: Model | None = None
 
     @property

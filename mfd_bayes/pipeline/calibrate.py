@@ -44,6 +44,7 @@ from mfd_bayes.runs.folder import (
 from mfd_bayes.runs.manifest import Manifest, Status, Truth, add_calibrated_model, mark_pages
 from mfd_bayes.runs.resume import check_free, prepare_folder
 from mfd_bayes.runs.run import Run
+from mfd_bayes.runs.test_sequence import LOG_LIKELIHOOD
 from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes
 from mfd_bayes.store.netcdf import save_arrays, save_trace
 
@@ -232,7 +233,8 @@ def _infer_population(
         lambda progress: observe(Step("population", "sampling", progress)),
     )
     for j, name in enumerate(results):
-        save_arrays(folder / pooled_of(name), inference.values(j), {"test": name}, units(model))
+        arrays = inference.values(j) | {LOG_LIKELIHOOD: inference.log_likelihood[..., j]}
+        save_arrays(folder / pooled_of(name), arrays, {"test": name}, units(model))
     save_population(folder / POPULATION, inference.population)
     seconds, worst = time.perf_counter() - began, inference.population.convergence
     sweeps = inference.sweeps

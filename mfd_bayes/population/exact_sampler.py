@@ -78,6 +78,7 @@ class PopulationDraws(NamedTuple):
     h: Array  # (chain, draw, dim)
     z: Array  # (chain, draw, Z)
     x: Array  # (chain, draw, J, D)
+    log_likelihood: Array  # (chain, draw, J): of each test, magnitude-adjusted
     convergence: Convergence  # of h, and of the levels and slopes in z
     sweeps: int
     accepted: tuple[float, float]  # shares of accepted moves of tests and of the population
@@ -170,16 +171,23 @@ class ExactSampler:
 
     def _excess(self, x: Array) -> Array:
         """Exact less approximate log density of each test, (n, J)."""
+        exact = self.evaluate((j, np.ascontiguousarray(x[:, j])) for j in range(x.shape[1]))
+        excess = np.stack(list(exact), axis=1) - self._approximation(x)
+        return np.where(np.isnan(excess), -np.inf, excess)
+
+    def _approximation(self, x: Array) -> Array:
+        """Log of what stands for each test's likelihood, (n, J).
+
+        It is a Gaussian, less what the prior of the unpooled has over the N(0, 1) taken for it.
+        """
         distance = x - self.fit.mean
         pairs = "nja,jab,njb->nj"
-        gaussian = -0.5 * np.einsum(pairs, distance, self.fit.precision, distance, optimize=True)
-        exact = self.evaluate((j, np.ascontiguousarray(x[:, j])) for j in range(x.shape[1]))
-        excess = np.stack(list(exact), axis=1) - gaussian
+        log = -0.5 * np.einsum(pairs, distance, self.fit.precision, distance, optimize=True)
         for j, unpooled in enumerate(self.unpooled):
             if np.any(unpooled):
-                excess[:, j] += self.fit.tests[j].coordinates.log_prior(x[:, j], unpooled)
-                excess[:, j] += 0.5 * np.sum(x[:, j][:, unpooled] ** 2, axis=1)
-        return np.where(np.isnan(excess), -np.inf, excess)
+                log[:, j] -= self.fit.tests[j].coordinates.log_prior(x[:, j], unpooled)
+                log[:, j] -= 0.5 * np.sum(x[:, j][:, unpooled] ** 2, axis=1)
+        return np.asarray(log)
 
     def sweep(self) -> None:
         """One move of each kind; while warming up the step sizes are tuned."""
@@ -372,6 +380,7 @@ class ExactSampler:
         h: list[Array] = []
         z: list[Array] = []
         x: list[NDArray[np.float32]] = []
+        log_likelihood: list[Array] = []
         look = FIRST
         while True:
             while len(h) < look:
@@ -380,6 +389,7 @@ class ExactSampler:
                 z.append(self.state.z)
                 if (len(h) - 1) % stride == 0:
                     x.append(np.asarray(self.state.x, dtype=np.float32))
+                    log_likelihood.append(self.state.excess + self._approximation(self.state.x))
             # of the coordinates of h, the levels and the slopes, across groups of chains
             columns = np.concatenate([np.array(h), np.array(z)[..., : tabled.size]], axis=2)
             grouped = columns.reshape(len(h), CHAINS, columns.shape[1] // CHAINS, -1)
@@ -398,4 +408,6 @@ class ExactSampler:
 
         tests, together = (float(np.mean(r)) for r in zip(*self.rates, strict=True))
         kept_draws = by_chain(h[::stride]), by_chain(z[::stride]), by_chain(x)
-        return PopulationDraws(*kept_draws, convergence, len(h), (tests, together))
+        return PopulationDraws(
+            *kept_draws, by_chain(log_likelihood), convergence, len(h), (tests, together)
+        )

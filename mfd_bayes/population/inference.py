@@ -101,6 +101,7 @@ class Inference:
 
     population: Population
     tests: Array  # (chain, draw, J, D): coordinates of the tests
+    log_likelihood: Array  # (chain, draw, J): of each test, magnitude-adjusted
     scores: tuple[LawScore, ...]  # of every law, for each quantity that follows the actuation
     # quantiles of each proportional law's exponent, estimated as in a power law
     exponents: Mapping[str, tuple[float, float, float]]
@@ -224,7 +225,8 @@ def _inferred(
     )
     exponents, dependence = free_exponents(gaussians), compare_dependence(gaussians)
     return Inference(
-        population, draws.x, scores, exponents, dependence, draws.sweeps, draws.accepted
+        *(population, draws.x, draws.log_likelihood, scores, exponents, dependence),
+        *(draws.sweeps, draws.accepted),
     )
 
 

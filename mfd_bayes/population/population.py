@@ -397,18 +397,17 @@ class Population:
         pairs = zip(vars(self.draws).values(), vars(self.alternatives).values(), strict=True)
         return LawDraws(*(np.concatenate([v.reshape(self.size, -1), o]) for v, o in pairs))
 
-    def single(self, number: int, knots: Array) -> Population:
-        """The population of one of the draws, with these values of δ at the knots, (K,), kip."""
+    def single(self, number: int) -> Population:
+        """The population of one of the draws."""
         rows = (v.reshape(self.size, 1, 1, -1)[number] for v in vars(self.draws).values())
         nothing = LawDraws(*(v[:0] for v in vars(self.alternatives).values()))
-        covariance = np.zeros_like(self.residual.covariance)
         return replace(
             self,
             draws=LawDraws(*rows),
             choice=self.choice.reshape(self.size, 1, 1, -1)[number],
             alternatives=nothing,
             alternative_weight=self.alternative_weight[:0],
-            residual=replace(self.residual, mean=knots, covariance=covariance),
+            residual=replace(self.residual, mean=self.knots(np.array([number]))[0]),
             walkers=1,
         )
 

@@ -55,7 +55,7 @@ class Notebook:
         """Groups of a test, or of a band, as ArviZ's functions take them."""
         import xarray as xr
 
-        from mfd_bayes.calibration.cycles import cycles_of_draws
+        from mfd_bayes.calibration.cycles import density_groups
         from mfd_bayes.population.bands import Band
         from mfd_bayes.store.netcdf import arviz_data, load_groups
 
@@ -65,5 +65,6 @@ class Notebook:
             numbers = {"chain": [0], "draw": np.arange(len(result.draws)), "time": result.time}
             return arviz_data({"predictions": xr.Dataset({"force": force}, coords=numbers)})
         groups = load_groups(result.path)
-        cycles = cycles_of_draws(result.posterior, result.stored.draws)
-        return arviz_data({**groups, "log_likelihood": cycles})
+        log_likelihood = groups["sample_stats"]["log_likelihood"].to_numpy()
+        densities = density_groups(result.posterior, groups["posterior"], log_likelihood)
+        return arviz_data(groups | densities)

@@ -27,9 +27,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from mfd_bayes.calibration.noises import NOISES
+from mfd_bayes.calibration.sensitivity import Follows
 from mfd_bayes.errors import ReportError
 from mfd_bayes.evaluation.assessment import FREE_EXPONENT
-from mfd_bayes.evaluation.scores import width_sentence
+from mfd_bayes.evaluation.scores import Rows, width_sentence
+from mfd_bayes.evaluation.sensitivity import sentences, summaries
 from mfd_bayes.evaluation.views import CampaignView, Datasheet, TestView
 from mfd_bayes.jobs.job import JobState, Step
 from mfd_bayes.jobs.local import several_processes
@@ -42,6 +44,7 @@ from mfd_bayes.reporting.tables import (
     Line,
     datasheet_frame,
     datasheet_sheet,
+    frame_of,
     paper_sheets,
     record_table,
     report_frames,
@@ -283,11 +286,21 @@ def _summary(
         left_out=left_out,
         width=width_sentence(shares),
         exponents=[check for check in view.checks if check.check == FREE_EXPONENT],
+        sensitivity=sensitivity_of(view, sheet),
+        sentences=sentences,
+        summaries=summaries,
+        verdicts=list(Follows),
         advice=added.get("next"),
         standard=added.get("standard"),
         words={name: text for name, text in terms if name in WORDS},
         **_datasheet(sheet, view, units.words),
     )
+
+
+def sensitivity_of(view: CampaignView, sheet: Datasheet | None) -> Rows:
+    """What follows the prior: values for design, then constants of laws, then parameters."""
+    of_tests = (row for test in view.tests for row in test.sensitivity)
+    return (*(sheet.sensitivity if sheet is not None else ()), *view.sensitivity, *of_tests)
 
 
 def _datasheet(
@@ -533,6 +546,7 @@ def publish(
     """Write tables, figures and pages of a report into the run folder of its options."""
     folder = options.out
     system, symbols, frames = view.system, Symbols(view.model), report_frames(view)
+    frames["sensitivity"] = frame_of("sensitivity", sensitivity_of(view, sheet))
     sheets = dict(zip(("parameters", "laws"), paper_sheets(view, symbols), strict=True))
     if sheet is not None:
         frames["datasheet"] = datasheet_frame(sheet.rows, system)

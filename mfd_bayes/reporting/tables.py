@@ -31,7 +31,7 @@ _OF_UNIT = frozenset(
         *("q2.5", "q50", "q97.5", "other_q2.5", "other_q50", "other_q97.5", "loop_estimate"),
         *("other_lower", "other_median", "other_upper", "smallest", "largest"),
         *("measured_low", "measured_high", "first_three", "observed", "expected"),
-        *("joint_q2.5", "joint_q50", "joint_q97.5"),
+        *("joint_q2.5", "joint_q50", "joint_q97.5", "before", "after"),
     }
 )
 """Keys of a row, and columns of a table, that are in the unit that the row names."""
@@ -119,6 +119,10 @@ _COLUMNS = {
     "crossvalidation": (
         f"part test {_SCORES} fitted_width:fitted_width_95_kip "
         "fitted_crps:fitted_crps_kip width_ratio crps_ratio simultaneous_95"
+    ),
+    "sensitivity": (
+        "group condition name:quantity of prior:prior_sensitivity data:data_sensitivity "
+        "pareto_k verdict"
     ),
     "tested_range": "name:condition unit lowest:smallest highest:largest",
     "drift": (

@@ -50,6 +50,9 @@ WRITTEN = re.compile(
 ASSESSMENT = "assessment.json"
 """Checks and verdict of a run, for `mfd-bayes check`."""
 
+REWEIGHED = ("reweighed.csv", "reweighed.html")
+"""What `mfd-bayes reweigh` writes: a run under two priors, side by side."""
+
 DRAWS = ("draws.csv", "draws.parquet")
 ADVICE = ("next.csv", "next.json", "next.png")
 """What `mfd-bayes next` writes into a run folder where it is told no other place."""
@@ -60,10 +63,10 @@ REHEARSED = tuple(f"{REHEARSAL}.{form}" for form in ("csv", "html", "png"))
 _ON_REQUEST = ("tables.docx", "tables.xlsx", "report.pdf", "datasheet.pdf")
 _TABLES = "parameters derived loop_estimates laws law_scores checks scores crossvalidation"
 OUTPUTS = (
-    *(f"{name}.csv" for name in (*_TABLES.split(), "tested_range")),
+    *(f"{name}.csv" for name in (*_TABLES.split(), "tested_range", "sensitivity")),
     *(f"{name}.{form}" for name in ("parameters", "laws") for form in ("json", "tex")),
     *("datasheet.csv", "datasheet.tex", "cycles.csv", "conformity.csv", "factors.csv"),
-    *(*_ON_REQUEST, *DRAWS, "report.html", "datasheet.html"),
+    *(*_ON_REQUEST, *REWEIGHED, *DRAWS, "report.html", "datasheet.html"),
     *(ASSESSMENT, POPULATION, CAMPAIGN, PRIORS, MODEL),
 )
 """Files that a run and its report write, but for the manifest and what lies in folders."""
@@ -276,7 +279,14 @@ def remove_stale(folder: Path, *, draws: bool) -> None:
 
     With `draws`, tests are sampled too, and the table of their draws is removed.
     """
-    on_request = (*_ON_REQUEST, *ADVICE, *REHEARSED, "figures/next.png", "figures/next.csv")
+    on_request = (
+        *_ON_REQUEST,
+        *ADVICE,
+        *REHEARSED,
+        *REWEIGHED,
+        "figures/next.png",
+        "figures/next.csv",
+    )
     remove_folder(folder, REHEARSAL)
     for name in (*on_request, *(DRAWS if draws else ())):
         remove_file(folder / name)

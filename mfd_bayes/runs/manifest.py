@@ -340,6 +340,9 @@ class Manifest(Part):
     """Acceptance rates and number of sweeps; written, never read."""
     crossvalidation: CampaignCrossValidation | None = None
     comparison: Comparison | None = None
+    reweighed: Mapping[str, str] = Field(default_factory=dict)
+    """Of a run under other priors than its draws were sampled under: the run whose draws they are,
+    and how those of each test and of the population were made of them."""
     warnings: tuple[Finding, ...] = ()
     """What the records, and then the results, gave cause to warn of."""
     verdicts: Mapping[str, str] = Field(default_factory=dict)

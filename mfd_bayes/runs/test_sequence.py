@@ -20,6 +20,9 @@ from mfd_bayes.store.netcdf import load_arrays
 
 Array = NDArray[np.float64]
 
+LOG_LIKELIHOOD = "log_likelihood"
+"""Of a test in the joint posterior, (chain, draw), beside its pooled quantities."""
+
 NO_GAP = "after is without effect: the model of the run has no gap in which a motion could begin"
 
 
@@ -130,9 +133,12 @@ class TestSequence:
 
 
 def stored_pooled(
-    folder: Path, manifest: Manifest, population: Population, name: str
+    folder: Path, manifest: Manifest, population: Population, name: str, *, densities: bool = False
 ) -> Mapping[str, Array]:
-    """Pooled quantities of a test that a run folder holds, (n,) each; empty where none are."""
+    """Pooled quantities of a test that a run folder holds, (n,) each; empty where none are.
+
+    With `densities` its log likelihood is there too, unless an earlier version has stored it.
+    """
     file = pooled_of(name)
     if not (folder / file).is_file():
         return {}
@@ -141,4 +147,5 @@ def stored_pooled(
     names = population.design.coordinates.names
     if any(k not in values or values[k].shape != population.shape for k in names):
         raise StoreError(f"{path} is damaged: it does not hold the draws of its population")
+    names = (*names, *({LOG_LIKELIHOOD} & values.keys() if densities else ()))
     return {k: np.ravel(values[k]).astype(np.float64) for k in names}

@@ -6,17 +6,24 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mfd_bayes.applications.properties.datasheet import sheet_conditions
+    from mfd_bayes.applications.properties.datasheet import sheet_conditions, sheet_values
     from mfd_bayes.applications.properties.design import design_factors, standard_bounds
     from mfd_bayes.applications.properties.protocol import print_protocol
 
-__all__ = ["design_factors", "print_protocol", "sheet_conditions", "standard_bounds"]
+__all__ = [
+    "design_factors",
+    "print_protocol",
+    "sheet_conditions",
+    "sheet_values",
+    "standard_bounds",
+]
 
 _MODULES = {
     "design_factors": "design",
     "standard_bounds": "design",
     "print_protocol": "protocol",
     "sheet_conditions": "datasheet",
+    "sheet_values": "datasheet",
 }
 
 

@@ -20,12 +20,15 @@ from mfd_bayes.evaluation.bounds import (
     ANOTHER,
     BASES,
     bounds,
+    draw_index,
     drawn_properties,
     places_of,
     sessions_of,
     with_gains,
 )
 from mfd_bayes.evaluation.properties import Array
+from mfd_bayes.evaluation.scores import Row, Rows
+from mfd_bayes.evaluation.sensitivity import JointDensity, design_rows
 from mfd_bayes.evaluation.views import Datasheet
 from mfd_bayes.messages import Message
 from mfd_bayes.records.cycles import PROPERTIES, RECORD, DeviceProperty
@@ -63,12 +66,16 @@ _CYCLES = [
 def datasheet(run: Run, conditions: Sequence[Condition] = ()) -> Datasheet:
     """Data sheet of a run: every condition that was tested, and those of `conditions`."""
     tests = harmonic_tests(run)
+    joint = JointDensity.of(run)
+    scaled: list[Row] = []
     table, lacking = [], []
     for condition in dict.fromkeys([*sorted({test.condition for test in tests}), *conditions]):
         matching = [test for test in tests if test.condition == condition]
         label = condition_words(run, condition)
         try:
-            table += _rows(run, condition, label, matching)
+            rows_of, sensitivities = _rows(run, condition, label, matching, joint)
+            table += rows_of
+            scaled += sensitivities
         except MfdError as error:
             if condition in conditions:
                 raise
@@ -78,6 +85,7 @@ def datasheet(run: Run, conditions: Sequence[Condition] = ()) -> Datasheet:
     rows = pd.DataFrame(table, columns=_COLUMNS)
     return Datasheet(
         rows=rows,
+        sensitivity=tuple(scaled),
         cycles=pd.DataFrame(_cycles(run, tests), columns=_CYCLES),
         tested=_tested(run),
         verdict=_verdict(run, rows),
@@ -101,10 +109,26 @@ def sheet_conditions(run: Run) -> Iterator[tuple[str, Trace, list[tuple[str, str
         yield condition_words(run, condition), trace, list(places)
 
 
+def sheet_values(run: Run) -> dict[tuple[str, str, str, str], float]:
+    """Nominal value and bounds of each condition, quantity and unit; the third word is which."""
+    rows: list[Row] = datasheet(run).rows.to_dict("records")  # type: ignore[assignment]
+    values = {}
+    for row in rows:
+        if not row["cycle"]:
+            name = f"{row['quantity'].replace('_', ' ')} {row['direction']}".strip()
+            for which in ("nominal", "lower", "upper"):
+                values[row["condition"], name, which, row["unit"]] = row[which]
+    return values
+
+
 def _rows(
-    run: Run, condition: Condition, label: str, tests: Sequence[HarmonicTest]
-) -> list[dict[str, object]]:
-    """Rows of one condition; `tests` are its tests."""
+    run: Run,
+    condition: Condition,
+    label: str,
+    tests: Sequence[HarmonicTest],
+    joint: JointDensity | None,
+) -> tuple[list[dict[str, object]], Rows]:
+    """Rows of one condition, and their sensitivities; `tests` are its tests."""
     axes = run.system.axes
     if tests:
         trace = tests[0].trace
@@ -150,7 +174,13 @@ def _rows(
                 | _measured(quantity, cycle, tests, read)
                 | {f"{key}_other": other_bounds[key] for key in ("lower_ratio", "upper_ratio")}
             )
-    return rows
+    properties = {
+        (f"{quantity.sheet.replace('_', ' ')} {quantity.direction}".strip(), of): draws[basis][name]
+        for name, quantity in ((q.name, q) for q in _ON_SHEET if q.applies(axes))
+        for basis, of in (("mean", "nominal value"), (BASIS, "bounds"))
+    }
+    index = draw_index(run, trace, list(places))
+    return rows, design_rows(joint, index, label, properties)
 
 
 def _cycles(run: Run, tests: Sequence[HarmonicTest]) -> list[dict[str, object]]:

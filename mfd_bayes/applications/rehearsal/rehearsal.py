@@ -200,7 +200,6 @@ def simulate(run: Run, rng: np.random.Generator) -> Truth:
     """A draw of a run's posterior, and records of all its tests."""
     population, predictor, tests, traces, peaks = run.population, run.predictor, {}, {}, {}
     index, residual = rng.integers(population.size, size=1), population.residual
-    knots = residual.draw_knots(rng, 1)
     excess = {side: each.draw(rng) for side, each in run.peaks.items()}
     coordinates, pooled = population.design.coordinates, sequence_of(run).pooled
     for name, test in run.tests.items():
@@ -216,7 +215,7 @@ def simulate(run: Run, rng: np.random.Generator) -> Truth:
         x = x[:, : len(population.design.names)]
         draw = predictor.sample_conditional(motion, setting, index, numbers, grid, x=x)
         start = {"start": values.get("start", draw.unshared["start"])}
-        draw = replace(draw, knots=knots, unshared={**draw.unshared, **start})
+        draw = replace(draw, unshared={**draw.unshared, **start})
         smooth = predictor.force(motion, draw)[0]
         noise = residual.draw_noise(rng, motion, values["noise_sd"])
         force = predictor.total(motion, replace(draw, noise=noise))[0]
@@ -232,7 +231,7 @@ def simulate(run: Run, rng: np.random.Generator) -> Truth:
         )
         tests[name] = {k: v[None] for k, v in values.items()}
         traces[name] = replace(test.trace, force=force)
-    single = population.single(int(index[0]), knots[0])
+    single = population.single(int(index[0]))
     manifest = run.manifest.changed(peak_excess={side: asdict(e) for side, e in excess.items()})
     device = replace(run, manifest=manifest).with_population(single)
     return Truth(device, tests, traces, peaks)

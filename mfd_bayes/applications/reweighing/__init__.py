@@ -1,0 +1,1 @@
+"""A finished run under another prior file: `mfd-bayes reweigh`."""
