@@ -30,6 +30,11 @@ MARK = (
     "the width between the mixture's bounds."
 )
 
+_COLUMNS = [
+    *("condition", "quantity", "direction", "unit", "model", "weight"),
+    *("nominal", "lower", "upper", "difference", "depends_on_model"),
+]
+
 
 def sheet_over_models(average: ModelAverage) -> pd.DataFrame:
     """Values of the data sheet under each of several models, and under their mixture.
@@ -140,20 +145,11 @@ def sheet_frame(sheet: ComparedSheet, system: UnitSystem) -> pd.DataFrame:
     import pandas as pd  # which takes long to import
 
     rows = [
-        {
-            "condition": row.condition,
-            "quantity": row.quantity,
-            "direction": row.direction,
-            "unit": row.unit,
-            "model": model,
-            "weight": sheet.weights.get(model, 1.0),
-            "nominal": nominal,
-            "lower": lower,
-            "upper": upper,
-            "difference": row.difference,
-            "depends_on_model": row.depends_on_model,
-        }
+        (
+            *(row.condition, row.quantity, row.direction, row.unit),
+            *(model, sheet.weights.get(model, 1.0), *value, row.difference, row.depends_on_model),
+        )
         for row in sheet.rows
-        for model, (nominal, lower, upper) in row.values.items()
+        for model, value in row.values.items()
     ]
-    return to_units(pd.DataFrame(rows), system)
+    return to_units(pd.DataFrame(rows, columns=_COLUMNS), system)
