@@ -106,7 +106,7 @@ def compare(
         comparison = compare_runs(runs)
         observe(Step("comparison", "data sheet under each model"))
         try:
-            sheet = compare_sheets(ModelAverage([*runs.values()]))
+            sheet = compare_sheets(ModelAverage([run.with_peaks() for run in runs.values()]))
         except FitError as error:  # a test that could not be calibrated under every model
             sheet = ComparedSheet((), {}, f"No data sheet over models: {error}.")
         comparison = replace(comparison, sheet=sheet)
