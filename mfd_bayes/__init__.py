@@ -78,6 +78,7 @@ _HOMES = {
     "Reweighing": "mfd_bayes.applications.reweighing.reweighing",
     "Run": "mfd_bayes.runs.run",
     "sample": "mfd_bayes.calibration.sampling",
+    "sheet_over_models": "mfd_bayes.applications.comparison.datasheets",
     "ThreeStage": "mfd_bayes.friction.three_stage",
     "Trace": "mfd_bayes.records.trace",
 }
@@ -125,6 +126,7 @@ __all__ = [
     "respond",
     "reweigh",
     "sample",
+    "sheet_over_models",
 ]
 
 

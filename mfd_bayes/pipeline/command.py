@@ -248,6 +248,8 @@ def run_compare(options: CompareOptions) -> None:
         title = "Each cycle predicted from all others (leave-one-cycle-out)"
         print_rows(title, ("test    ", *heads, "RRSE", "log evidence ± se"), rows)
     say(comparison.sentence)
+    if comparison.sheet:
+        say(comparison.sheet.sentence)
     for model, view in views.items():
         if scores := view.left_out:
             crps = scores.mean["crps"] * view.system.factor("kip")

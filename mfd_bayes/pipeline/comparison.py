@@ -14,13 +14,14 @@ from mfd_bayes.applications.comparison.crossvalidation import (
     parts_of,
     run_folds,
 )
+from mfd_bayes.applications.comparison.datasheets import compare_sheets, sheet_frame
 from mfd_bayes.applications.comparison.models import (
     ModelChoice,
     candidates,
     check_cycles,
     compare_runs,
 )
-from mfd_bayes.errors import StoreError
+from mfd_bayes.errors import FitError, StoreError
 from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.jobs.job import JobState, Observe, Step
 from mfd_bayes.pipeline.calibrate import calibrate_locked, working_in
@@ -28,11 +29,14 @@ from mfd_bayes.pipeline.options import RunOptions
 from mfd_bayes.pipeline.plan import Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.design import setting_of
-from mfd_bayes.reporting.tables import comparison_csv
+from mfd_bayes.reporting.tables import comparison_csv, to_csv
 from mfd_bayes.runs.folder import alone_in, check_outputs, remove_partial_files
-from mfd_bayes.runs.manifest import CampaignCrossValidation, Comparison
+from mfd_bayes.runs.manifest import CampaignCrossValidation, ComparedSheet, Comparison
+from mfd_bayes.runs.model_average import ModelAverage
 from mfd_bayes.runs.run import Run, rewrite_manifest
 from mfd_bayes.store.files import write_text
+
+SHEET = "datasheet_models.csv"  # beside comparison.csv
 
 
 def crossvalidate(
@@ -40,7 +44,7 @@ def crossvalidate(
 ) -> CampaignView:
     """Calibrate a campaign, then predict every part of it from all the others.
 
-    Parts are by "test", "level" or "session".
+    Parts are by "test", "level", "session" or "motion".
     """
     plan = plan_campaign(campaign, options)
     part_names = check_parts(plan, by)
@@ -100,7 +104,15 @@ def compare(
                 runs[model] = leave_out_parts(runs[model], by, plan.options, observe_model)
         observe(Step("comparison", "leaving out one cycle after another"))
         comparison = compare_runs(runs)
+        observe(Step("comparison", "data sheet under each model"))
+        try:
+            sheet = compare_sheets(ModelAverage([run.with_peaks() for run in runs.values()]))
+        except FitError as error:  # a test that could not be calibrated under every model
+            sheet = ComparedSheet((), {}, f"No data sheet over models: {error}.")
+        comparison = replace(comparison, sheet=sheet)
         write_text(folder / "comparison.csv", comparison_csv(comparison.rows))
+        frame = sheet_frame(sheet, next(iter(runs.values())).system)
+        write_text(folder / SHEET, to_csv(frame, [sheet.sentence]))
         observe(Step("comparison", JobState.DONE))
         views = {}
         for model, run in runs.items():
@@ -114,7 +126,7 @@ def _plan_models(
 ) -> dict[str, Plan]:
     """Plan of a campaign under each candidate, checked for what the comparison needs."""
     plans: dict[str, Plan] = {}
-    table, replaces = [root / "comparison.csv"], options.force or options.resume
+    table, replaces = [root / "comparison.csv", root / SHEET], options.force or options.resume
     check_outputs(table, [campaign], force=replaces)
     for candidate in selection:
         plan = plan_campaign(campaign, options, candidate.model, candidate.noise)

@@ -185,8 +185,8 @@ class CrossvalidateOptions(RunOptions):
     """Predict every part of a campaign from all the others, and score the predictions.
 
     Calibrates the campaign first; with --resume it takes the posteriors that
-    OUT has. Then it leaves out one test, level of actuation or session after
-    another and infers the population of the others. Writes
+    OUT has. Then it leaves out one test, level of actuation, session or kind
+    of motion after another and infers the population of the others. Writes
     OUT/crossvalidation.csv and the report.
 
     Example:
@@ -195,9 +195,9 @@ class CrossvalidateOptions(RunOptions):
 
     campaign: Campaign
     out: NewRun
-    by: Annotated[str, Option(metavar="test|level|session", help="What to leave out in turn.")] = (
-        "test"
-    )
+    by: Annotated[
+        str, Option(metavar="test|level|session|motion", help="What to leave out in turn.")
+    ] = "test"
 
 
 COMPARED = "three_stage,lugre,bouc_wen,backlash"
@@ -209,7 +209,9 @@ class CompareOptions(RunOptions):
 
     Writes a run folder OUT/MODEL of each, and OUT/comparison.csv: how well each
     model predicts every cycle of a record from all others (PSIS-LOO), and its log
-    evidence. The campaign's own model does not count. With --noises alone the campaign's model
+    evidence. OUT/datasheet_models.csv has the data sheet under each model and under
+    their mixture, weighted by how each predicts motions left out with --by motion.
+    The campaign's own model does not count. With --noises alone the campaign's model
     is calibrated with each noise, into OUT/NOISE; with both options each model
     with each noise, into OUT/MODEL_NOISE.
 
@@ -228,7 +230,7 @@ class CompareOptions(RunOptions):
     ] = ""
     noises: Annotated[str, Option(help="Compare noises too, or alone: such as ou,iid,staged.")] = ""
     by: Annotated[
-        str, Option(help="Leave out each test, level or session of each model's run too.")
+        str, Option(help="Leave out each test, level, session or motion of each model's run too.")
     ] = ""
 
 

@@ -158,7 +158,7 @@ class Entry(Part):
 
 # --- what evaluation makes of a run, as the manifest holds it
 
-PartKind = Literal["test", "level", "session"]
+PartKind = Literal["test", "level", "session", "motion"]
 """What is left out of a campaign at a time."""
 
 
@@ -191,6 +191,8 @@ class Prediction:
     """Of the test's own posterior."""
     simultaneous: bool | None = None
     """Whether the whole force is inside the 95 % band of whole histories."""
+    log_score: Figure | None = None
+    """Mean log density of the force, per kip, under the draws of `score`."""
 
 
 @dataclass(frozen=True)
@@ -248,6 +250,34 @@ class ComparedEstimate:
 
 
 @dataclass(frozen=True)
+class ComparedValue:
+    """A value of the data sheet under the models compared, and last under their mixture."""
+
+    condition: str
+    quantity: str
+    direction: str
+    unit: str
+    values: Mapping[str, Three]
+    """Nominal value, lower and upper bound by model, in `unit`."""
+    difference: Figure
+    """Of the models' nominal values, over half of the width between the mixture's bounds."""
+
+    @property
+    def depends_on_model(self) -> bool:
+        """Whether the models differ by more than half of the width of their mixture."""
+        return self.difference > 1.0
+
+
+@dataclass(frozen=True)
+class ComparedSheet:
+    """The data sheet over models, the weight of each, and a sentence on weights and marks."""
+
+    rows: tuple[ComparedValue, ...]
+    weights: Mapping[str, Figure]
+    sentence: str
+
+
+@dataclass(frozen=True)
 class Comparison:
     """Models of one campaign, compared: rows of every test, then of all; best model first.
 
@@ -258,6 +288,7 @@ class Comparison:
     rows: tuple[ComparisonRow, ...]
     sentence: str
     estimates: tuple[ComparedEstimate, ...] = ()
+    sheet: ComparedSheet | None = None
 
 
 # --- the manifest

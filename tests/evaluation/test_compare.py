@@ -138,6 +138,15 @@ def test_the_command_compares_and_samples_nothing_twice(tmp_path):
     assert scores.elpd_difference["slow", "lugre"] < -20
     assert scores.rrse_in_sample["slow", "bouc_wen"] < 0.05
     assert scores.log_evidence["slow", "lugre"] < scores.log_evidence["slow", "bouc_wen"] - 20
+    sheet = pd.read_csv(folder / "datasheet_models.csv", comment="#")
+    assert set(sheet.model) == {"lugre", "bouc_wen", "mixture"}
+    slip = sheet[sheet.quantity == "slip_force"].set_index(["direction", "model"])
+    own = pd.read_csv(folder / "lugre" / "datasheet.csv", comment="#")
+    own = own[(own.quantity == "slip_force") & (own.direction == "forward")].iloc[0]
+    for key in ("nominal", "lower", "upper"):
+        assert slip[key]["forward", "lugre"] == pytest.approx(own[key], rel=1e-4)
+    assert "Every model has the same weight" in " ".join(printed.split())
+    assert "depend on the model?" in (folder / "lugre" / "report.html").read_text()
     stored = mb.open_run(folder / "lugre").tests["slow"].log_evidence()
     assert stored.value == pytest.approx(scores.log_evidence["slow", "lugre"])
     laws = json.loads((folder / "bouc_wen" / "manifest.json").read_text())["settings"]["laws"]

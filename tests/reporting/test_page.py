@@ -19,7 +19,13 @@ from mfd_bayes.evaluation.assessment import FREE_EXPONENT, PREDICTIVE, Check, Ju
 from mfd_bayes.messages import Measure, Message
 from mfd_bayes.reporting.figures import draw_overview
 from mfd_bayes.runs.findings import CheckStatus, Finding, Fitness
-from mfd_bayes.runs.manifest import ComparedEstimate, Comparison, ComparisonRow
+from mfd_bayes.runs.manifest import (
+    ComparedEstimate,
+    ComparedSheet,
+    ComparedValue,
+    Comparison,
+    ComparisonRow,
+)
 from mfd_bayes.runs.unit_system import SI
 from mfd_bayes.store.files import commented, quoted
 
@@ -170,6 +176,7 @@ def test_the_page_of_a_test_holds_all_that_the_summary_leaves_out(campaign, writ
 
 def test_what_was_compared_is_shown_for_all_tests_and_for_each(campaign, text, written):
     assert "Which model or noise" not in text
+    values = {"ou": (2.0, 1.0, 3.0), "staged": (4.0, 3.0, 5.0), "mixture": (3.5, 1.5, 4.5)}
     score = {"cycles": 6, "elpd": 30.0, "elpd_se": 2.0, "p_loo": 3.0, "worst_k": 0.5, "bad": 0.0}
     score |= {"unsettled": 0.0, "difference_se": 1.5, "rrse": 0.1, "log_evidence": 8.0}
     score |= {"log_evidence_se": 0.1, "evidence_k": 0.4, "evidence_trusted": True}
@@ -184,9 +191,23 @@ def test_what_was_compared_is_shown_for_all_tests_and_for_each(campaign, text, w
             ComparedEstimate("p800_f0.25", "k3", "kip/in", noise, median - 2.0, median, median + 3)
             for noise, median in (("staged", 42.2), ("ou", 31.0))
         ),
+        ComparedSheet(
+            tuple(
+                ComparedValue("800 psi, 1 in", quantity, "", "kip", values, difference)
+                for quantity, difference in (("slip_force", 1.2), ("peak_force", 0.4))
+            ),
+            {"ou": 0.25, "staged": 0.75},
+            "One does.",
+        ),
     )
     files = written(replace(campaign, comparison=comparison))
     page = seen(files["report.html"])
+    assert "One does. The data sheet under each model" in page
+    assert "slip force kip 2.001.00–3.00 4.003.00–5.00 3.501.50–4.50" in page
+    table = (
+        files["report.html"].partition("The data sheet under each model")[2].split("</table>")[0]
+    )
+    assert [row.count('class="outside"') for row in table.split("<tr>")[-2:]] == [3, 0]
     assert "The records favour staged over ou." in page
     assert "staged 30.00 0.000 ± 1.5 8.000 ± 0.10 0.100" in page
     assert "ou 30.00 −4.000 ± 1.5" in page

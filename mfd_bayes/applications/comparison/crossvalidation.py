@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mfd_bayes.calibration.diagnostics import replicate
 from mfd_bayes.errors import CampaignError, MfdError, StoreError
-from mfd_bayes.evaluation.scores import score
+from mfd_bayes.evaluation.scores import log_score, score
 from mfd_bayes.jobs.job import JobState, Outcome, Step, Workplace
 from mfd_bayes.jobs.local import run_jobs
 from mfd_bayes.population.bands import PredictionOptions, Predictor, holds_whole
@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 
 DRAWS = 800  # number of draws of each scored band
 FOLDER = CROSSVALIDATION
+SAME_MOTION = 0.1  # amplitudes, and speeds, that differ by less than this share are the same
 
 
 @dataclass(frozen=True)
@@ -135,6 +136,8 @@ def parts_of(
             )
             for session in sessions
         }
+    if key == "motion":
+        groups = {f"the motion of {tests[0]}": tests for tests in _motions_of(settings)}
     if len(groups) < 2:
         raise CampaignError(
             f"cross-validation by {key} needs at least two {key}s; the calibrated tests of {path} "
@@ -147,6 +150,20 @@ def parts_of(
                 f"{path} has an actuation above zero"
             )
     return groups
+
+
+def _motions_of(settings: Mapping[str, TestConditions]) -> list[tuple[str, ...]]:
+    """Tests of each kind of motion: about the same amplitude, speed and share of full strokes."""
+    kinds: list[tuple[str, ...]] = []
+    for name, setting in settings.items():
+        motion = [*setting.covariates.values()]
+        for i, tests in enumerate(kinds):
+            if np.allclose([*settings[tests[0]].covariates.values()], motion, SAME_MOTION, 0.0):
+                kinds[i] = (*tests, name)
+                break
+        else:
+            kinds.append((name,))
+    return kinds
 
 
 def folds_of(run: Run, kind: PartKind, effort: str) -> tuple[Fold, ...]:
@@ -198,7 +215,8 @@ def leave_out(
         fitted = replicate(posterior, test.stored.values(), np.random.default_rng(0), DRAWS)
         scores = score(band.draws, force), score(fitted.observed, force)
         contained = holds_whole(band.draws, force)
-        predictions.append(Prediction(fold.part, name, *scores, contained))
+        density = log_score(band.draws, force)
+        predictions.append(Prediction(fold.part, name, *scores, contained, density))
     return tuple(predictions)
 
 
