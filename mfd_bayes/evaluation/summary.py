@@ -15,6 +15,7 @@ from mfd_bayes.calibration.diagnostics import (
     TAIL_SHARE,
     Identifiability,
     contraction,
+    effective_size,
     find_directions,
     find_pairs,
     log_if_positive,
@@ -266,7 +267,7 @@ def calibrated_view(manifest: Manifest, test: TestResult) -> TestView:
     derived = properties | of_parameters(posterior.model, replicas.values, level, settings)
     derived = applicable(derived, manifest.axes)
     by_name = {row["name"]: row for row in rows}
-    identifiability = _identify(posterior, values, prior, by_name)
+    identifiability = _identify(posterior, stored.posterior.arrays, prior, by_name)
     informed = {name for name, row in by_name.items() if row["contraction"] >= INFORMED}
     medians = {name: np.atleast_1d(np.median(draws)) for name, draws in values.items()}
     inputs = posterior.theta(medians), trace, medians.get("start")
@@ -346,16 +347,20 @@ def _identify(
     prior: Mapping[str, Array],
     rows: Mapping[str, Row],
 ) -> Identifiability:
-    """What the data of a test say about its sampled parameters; `rows` have their bulk ESS.
+    """What the data of a test say about its sampled parameters, by draws (chain, draw) of each.
 
+    `rows` have their bulk ESS, which has been measured when they were sampled.
     Everything is on the scale on which each prior is sampled, the logarithm for most: there
     the priors are independent, and a prior raised to a power widens about its median.
     """
     names = posterior.names
-    draws = np.stack([posterior.priors[n].coordinate(values[n]) for n in names], axis=1)
+    draws = np.stack([posterior.priors[n].coordinate(values[n]) for n in names])
     width = np.array([posterior.priors[n].coordinate(prior[n]).std() for n in names])
     size = min(float(rows[name]["ess_bulk"]) for name in names)
-    return Identifiability(find_directions(names, width, draws, size), find_pairs(names, draws))
+    if not size > 0.0:  # walkers of too few steps: that of whole chains
+        size = float(np.min(np.nan_to_num([*map(effective_size, draws)], nan=0.0)))
+    flat = draws.reshape(len(names), -1).T
+    return Identifiability(find_directions(names, width, flat, size), find_pairs(names, flat))
 
 
 def _parameters(

@@ -25,7 +25,9 @@ def test_a_report_holds_every_figure_and_every_table(campaign, published, writte
     pairs = ((n, f) for n in ("held", "p800_f0.25") for f in ("page.html", "record.csv"))
     expected |= {f"tests/{name}/{file}" for name, file in pairs}
     expected |= {f"figures/{n}.{s}" for n in ("overview", "laws", "truth") for s in ("png", "csv")}
-    names = "parameters derived loop_estimates laws law_scores checks scores tested_range"
+    names = (
+        "parameters derived loop_estimates laws law_scores checks scores sensitivity tested_range"
+    )
     expected |= {
         f"{name}.csv" for name in (*names.split(), "crossvalidation", "datasheet", "cycles")
     }

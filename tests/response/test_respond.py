@@ -170,7 +170,8 @@ def test_a_dampers_force_is_the_peak_that_design_says_of_the_same_motion(run, tm
     for side in ("fwd", "bwd"):
         design, bounds = rows[f"peak_{side}", "new_test"], response.references
         got = [float(getattr(bounds[name], f"peak_{side}")[0, 0, 0]) for name in ("lower", "upper")]
-        assert got == pytest.approx([design["lower"], design["upper"]], rel=0.1)
+        # a bound has slip forces and stiffness at theirs together: up to 10.5 % beyond
+        assert got == pytest.approx([design["lower"], design["upper"]], rel=0.12)
         peaks_of_draws = getattr(response, f"peak_{side}")
         error = 1.25 * peaks_of_draws.std() / np.sqrt(peaks_of_draws.size)  # of a median, 2 to 3 %
         nominal = rows[f"peak_{side}", "mean"]["nominal"]

@@ -175,7 +175,9 @@ def _rows(
                 | {f"{key}_other": other_bounds[key] for key in ("lower_ratio", "upper_ratio")}
             )
     properties = {
-        (f"{quantity.sheet.replace('_', ' ')} {quantity.direction}".strip(), of): draws[basis][name]
+        (axes.text(f"{quantity.sheet.replace('_', ' ')} {quantity.direction}".strip()), of): (
+            draws[basis][name]
+        )
         for name, quantity in ((q.name, q) for q in _ON_SHEET if q.applies(axes))
         for basis, of in (("mean", "nominal value"), (BASIS, "bounds"))
     }
