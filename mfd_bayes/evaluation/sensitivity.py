@@ -29,7 +29,12 @@ MOST = 3  # values that a sentence names
 
 @dataclass(frozen=True, eq=False)
 class JointDensity:
-    """Log prior of the population's draws, and log likelihood of all tests, (chain, draw) each."""
+    """Log prior of the population's draws, and log likelihood of all tests, (chain, draw) each.
+
+    That is the likelihood of levels, laws and scatter: what a test has to itself is integrated out.
+    With the likelihood of the records in its place, which know the tests and not the device, a
+    level that the tests show would follow nothing.
+    """
 
     log_prior: Array
     log_likelihood: Array
@@ -41,10 +46,8 @@ class JointDensity:
         pooled = [stored_pooled(*stored, name, densities=True) for name in run.tests]
         if not all(LOG_LIKELIHOOD in values for values in pooled):
             return None
-        shape = run.population.shape
-        by_chain = [{n: values.reshape(shape) for n, values in of.items()} for of in pooled]
-        likelihood = np.sum([values[LOG_LIKELIHOOD] for values in by_chain], axis=0)
-        return cls(log_prior(run.population, by_chain), likelihood)
+        likelihood = np.sum([values[LOG_LIKELIHOOD] for values in pooled], axis=0)
+        return cls(log_prior(run.population, ()), likelihood.reshape(run.population.shape))
 
 
 def test_rows(test: TestResult, stored: StoredTest) -> Rows:

@@ -78,7 +78,7 @@ class PopulationDraws(NamedTuple):
     h: Array  # (chain, draw, dim)
     z: Array  # (chain, draw, Z)
     x: Array  # (chain, draw, J, D)
-    log_likelihood: Array  # (chain, draw, J): of each test, magnitude-adjusted
+    log_likelihood: Array  # (chain, draw, J): of each test given h and z, by its Gaussian
     convergence: Convergence  # of h, and of the levels and slopes in z
     sweeps: int
     accepted: tuple[float, float]  # shares of accepted moves of tests and of the population
@@ -171,23 +171,16 @@ class ExactSampler:
 
     def _excess(self, x: Array) -> Array:
         """Exact less approximate log density of each test, (n, J)."""
-        exact = self.evaluate((j, np.ascontiguousarray(x[:, j])) for j in range(x.shape[1]))
-        excess = np.stack(list(exact), axis=1) - self._approximation(x)
-        return np.where(np.isnan(excess), -np.inf, excess)
-
-    def _approximation(self, x: Array) -> Array:
-        """Log of what stands for each test's likelihood, (n, J).
-
-        It is a Gaussian, less what the prior of the unpooled has over the N(0, 1) taken for it.
-        """
         distance = x - self.fit.mean
         pairs = "nja,jab,njb->nj"
-        log = -0.5 * np.einsum(pairs, distance, self.fit.precision, distance, optimize=True)
+        gaussian = -0.5 * np.einsum(pairs, distance, self.fit.precision, distance, optimize=True)
+        exact = self.evaluate((j, np.ascontiguousarray(x[:, j])) for j in range(x.shape[1]))
+        excess = np.stack(list(exact), axis=1) - gaussian
         for j, unpooled in enumerate(self.unpooled):
             if np.any(unpooled):
-                log[:, j] -= self.fit.tests[j].coordinates.log_prior(x[:, j], unpooled)
-                log[:, j] -= 0.5 * np.sum(x[:, j][:, unpooled] ** 2, axis=1)
-        return np.asarray(log)
+                excess[:, j] += self.fit.tests[j].coordinates.log_prior(x[:, j], unpooled)
+                excess[:, j] += 0.5 * np.sum(x[:, j][:, unpooled] ** 2, axis=1)
+        return np.where(np.isnan(excess), -np.inf, excess)
 
     def sweep(self) -> None:
         """One move of each kind; while warming up the step sizes are tuned."""
@@ -389,7 +382,8 @@ class ExactSampler:
                 z.append(self.state.z)
                 if (len(h) - 1) % stride == 0:
                     x.append(np.asarray(self.state.x, dtype=np.float32))
-                    log_likelihood.append(self.state.excess + self._approximation(self.state.x))
+                    s = self.state
+                    log_likelihood.append(self.mixed.log_tests(s.h, s.z, self.choice))
             # of the coordinates of h, the levels and the slopes, across groups of chains
             columns = np.concatenate([np.array(h), np.array(z)[..., : tabled.size]], axis=2)
             grouped = columns.reshape(len(h), CHAINS, columns.shape[1] // CHAINS, -1)

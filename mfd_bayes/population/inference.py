@@ -101,7 +101,7 @@ class Inference:
 
     population: Population
     tests: Array  # (chain, draw, J, D): coordinates of the tests
-    log_likelihood: Array  # (chain, draw, J): of each test, magnitude-adjusted
+    log_likelihood: Array  # (chain, draw, J): of each test given the population
     scores: tuple[LawScore, ...]  # of every law, for each quantity that follows the actuation
     # quantiles of each proportional law's exponent, estimated as in a power law
     exponents: Mapping[str, tuple[float, float, float]]

@@ -228,6 +228,18 @@ class MixedModel:
         total -= np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         return total, Coefficients(backward(factor, u), factor)
 
+    def log_tests(self, h: Array, z: Array, choice: Index) -> Array:
+        """Log likelihood of each test given h and z, its deviations integrated out, (n, J)."""
+        tau = self.tau(h)
+        inner = self._inner(np.arange(len(self.y)), tau)
+        residual = self.y - self.offsets(h, choice) - self.design.linear(z, self.rows)
+        pulled = np.einsum("jab,njb->nja", self.p, residual)
+        of_free = pulled[..., self.free]
+        squares = np.sum(residual * pulled, axis=-1)
+        squares -= np.sum(of_free * forward(inner, of_free), axis=-1)
+        log = -0.5 * squares - 0.5 * np.linalg.slogdet(inner)[1]
+        return np.asarray(log - np.log(tau).sum(axis=1)[:, None])
+
     def prior_precision(self, h: Array) -> Array:
         """Precision of z before any test, (n, Z, Z)."""
         design, omega, z = self.design, self.omega(h), self.design.quantity.size

@@ -5,13 +5,8 @@ import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import fmpy
 import numpy as np
 import pytest
-from fmpy.build import build_platform_binary
-from fmpy.fmi2 import FMU2Slave
-from fmpy.fmi3 import FMU3Slave
-from fmpy.validation import validate_fmu
 
 from mfd_bayes import open_run
 from mfd_bayes.applications.buildings import time_integration
@@ -22,6 +17,12 @@ from mfd_bayes.applications.export.compiled import compiler
 from mfd_bayes.applications.export.sets import parameter_sets
 from tests.command_line import refusal, said
 from tests.export.made import WARNINGS, needs_compiler
+
+fmpy = pytest.importorskip("fmpy", reason='needs the extra "fmu": pip install ".[fmu]"')
+build_platform_binary = pytest.importorskip("fmpy.build").build_platform_binary
+FMU2Slave = pytest.importorskip("fmpy.fmi2").FMU2Slave
+FMU3Slave = pytest.importorskip("fmpy.fmi3").FMU3Slave
+validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu
 
 INCH, KIP, KSI = 0.0254, 4448.2216152605, 6894757.293168361
 VERSIONS = ("2.0", "3.0")
