@@ -243,10 +243,14 @@ def smallest(summary):
 
 
 @pytest.mark.slow
-def test_planted_faults_are_seen_and_a_right_calibration_passes(run, tmp_path):
+def test_a_right_calibration_passes(run, tmp_path):
     p_values = smallest(rehearsed(run, tmp_path / "right", 14))
     # what scatters between three tests follows its prior, which counts twice
     assert p_values.drop(SCATTERS).min() > 0.05
+
+
+@pytest.mark.slow
+def test_noise_that_is_taken_for_independent_is_seen(run, tmp_path):
     # the records' noise is correlated, and every test is calibrated as if it were not
     settings = run.manifest.settings
     campaign = settings.campaign.model_copy(update={"noise": "iid"})
@@ -257,7 +261,10 @@ def test_planted_faults_are_seen_and_a_right_calibration_passes(run, tmp_path):
     assert "Fc_fwd too narrow" in " ".join(summary.parameters)
     # what the tests have in common learns the correlation itself, whatever they assume alone
     assert min(p_values[ANOTHER_TEST], p_values[MEAN], p_values[POOLED]) > 0.05
-    # all priors are ten times too narrow
+
+
+@pytest.mark.slow
+def test_priors_ten_times_too_narrow_are_seen(run, tmp_path):
     narrow = {
         name: Prior(p.family, {**p.figures, "sigma": 0.1 * p.figures["sigma"]})
         if p.family == "lognormal"
