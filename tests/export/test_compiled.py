@@ -1,5 +1,6 @@
 """The compiled step against `Model.step`, and what `compile_step` refuses."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -140,3 +141,18 @@ def test_a_compiler_that_fails_is_quoted(monkeypatch, tmp_path):
     monkeypatch.setenv("CC", str(path))
     with pytest.raises(ReportError, match=r"failed on the step in C: no licence"):
         CompiledStep(made_sets("lugre", 1))
+
+
+@pytest.mark.parametrize("name", ["three_stage", "backlash"])
+def test_a_device_without_actuation_takes_any(name):
+    sets = replace(chosen(made_sets(name, 1), [0]), unit="")
+    step = CompiledStep(sets)
+    time = np.arange(0.0, 2.0, 0.01)
+    motion = time, np.sin(4 * time), 4 * np.cos(4 * time)
+    state, expected = sets.model.start(sets.theta, sets.start), []
+    for k, (t, x, v) in enumerate(zip(*motion, strict=True)):
+        force, state = sets.model.step(state, x, v, t - time[k - 1] if k else 0.0)
+        expected.append(force[0])
+    for level in (None, -5.0, 1e9):
+        force = step.force("1", *motion, level)
+        assert np.abs(force - expected).max() <= BARS[name] * np.abs(expected).max()

@@ -158,6 +158,10 @@ def test_every_command_takes_its_run(finished, tmp_path):
     assert "no slip force" in said("next", run_dir, "--goal", "slip at 800 psi", code=2)
     assert "they are c, " in said("next", run_dir, "--goal", "slope of alpha", code=2)
     said("export", run_dir, "--to", "csv", "-o", tmp_path / "samples")
+    for form in ("c", "fmu"):
+        words = said("export", run_dir, "--to", form, "-o", tmp_path / form, code=2)
+        assert "in Python only: give --to csv" in words
+        assert not (tmp_path / form).exists()
     (tmp_path / "b.toml").write_text(BUILDING)
     time = np.arange(40) / 20
     names = ("time_s", "acceleration_in/s^2")

@@ -91,14 +91,14 @@ def write_fmu(run: Run, sets: ParameterSets, path: Path, fmi: str) -> list[str]:
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(entry, content)
     write_bytes(path, buffer.getvalue())
-    what = f"with sources and a binary for {folder}"
+    built = f"with sources and a binary for {folder}"
     if not binary:
-        what = (
+        built = (
             "with sources alone, since no compiler of C is found here for this machine: your "
             "program, or FMPy, compiles it"
         )
     return [
-        f"{sets.model.name} as an FMU of FMI {fmi} for co-simulation, in SI units, {what}: {path}",
+        f"{sets.model.name} as an FMU of FMI {fmi} for co-simulation, in SI units, {built}: {path}",
         f"its parameter set: nominal, lower, upper, or a draw's number, 1 to "
         f"{len(sets.names) - len(FIXED)}",
     ]

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 SIDES = ("slip_fwd", "slip_bwd")  # properties whose bounds the sets have
 PROBABILITY, BASIS = 0.95, "observation"  # of the bounds of the data sheet
-TYPICAL_DRAWS = 1000  # of which the nominal set is the median, however many draws are exported
+TYPICAL_DRAWS = 1000  # of the nominal set, however few draws are exported
 CYCLES = 3  # of a motion that was not tested, as the sheet has it
 MOST_LEVELS = 64  # DAMPER_LEVELS of damper.h
 SOLVED = 1e-12  # relative error of a slip force at which its friction is found
@@ -151,16 +151,16 @@ def parameter_sets(
     theta, start, laws = _drawn(run, level, grid, draws, seed)
     reference = population.design.reference if run.manifest.axes.actuated else 1.0
     # of one vector: medians, and deviations to the mean factor of the draws
-    many = _drawn(run, level, grid, TYPICAL_DRAWS, seed)
-    share, exponent = (np.median(shape, axis=0)[None] for shape in many.laws[:2])
+    sample = _drawn(run, level, grid, TYPICAL_DRAWS, seed)
+    share, exponent = (np.median(shape, axis=0)[None] for shape in sample.laws[:2])
     typical = Laws(share, exponent, np.zeros((1, len(model.laws), grid.size)))
     factor, mean_factor = (
-        _factors(each, grid, reference, level, grid).mean(axis=0) for each in (typical, many.laws)
+        _factors(each, grid, reference, level, grid).mean(axis=0) for each in (typical, sample.laws)
     )
     positive = (factor > 0.0) & (mean_factor > 0.0)
     deviation = np.log(np.where(positive, mean_factor, 1.0) / np.where(positive, factor, 1.0))
     typical = typical._replace(deviation=deviation[None])
-    median, place = np.median(many.theta["mean"], axis=0), float(np.median(many.start))
+    median, place = np.median(sample.theta["mean"], axis=0), float(np.median(sample.start))
     trace, condition, slip = _sheet(run, level)
     fixed = [_with_slip(model, median, place, trace, row, condition) for row in slip]
     repeated = (np.repeat(a, len(FIXED), axis=0) for a in typical)
