@@ -196,12 +196,12 @@ def without(run: Run, names: Collection[str], effort: str, seed: tuple[int, ...]
     settings, tests = run.manifest.settings, {name: run.tests[name] for name in names}
     inference = infer_population(tests, run.priors, settings.inference(effort, seed))
     reduced = replace(run, tests=tests, manifest=run.manifest.changed(peak_excess={}))
+    reduced = reduced.with_population(inference.population)
 
     def pooled(name: str) -> dict[str, np.ndarray]:
         values = inference.values(list(tests).index(name))
         return {quantity: draws.reshape(-1) for quantity, draws in values.items()}
 
-    vars(reduced)["population"] = inference.population  # instead of the one that is stored
     vars(reduced)["_sequence"] = replace(sequence_of(reduced), pooled=pooled)
     return reduced
 

@@ -104,9 +104,7 @@ def with_population(run: Run, path: Path) -> Run:
     inference = infer_population(
         tests, file, settings.inference(run.manifest.effort.name, (SEED, 0), 1)
     )
-    other = replace(run, priors=file)
-    vars(other)["population"] = inference.population
-    return other
+    return replace(run, priors=file).with_population(inference.population)
 
 
 def calibrated(run: Run, campaign: Path, out: Path, label: str, priors: Path) -> tuple[Run, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -66,9 +66,14 @@ def find_modes(
             np.max(np.abs(fits[i] - end) / sd) > DISTINCT for end in ends
         ):
             ends.append(fits[i])
+    return climb(posterior, ends, sd)
+
+
+def climb(posterior: Posterior, points: Iterable[Array], sd: Array) -> tuple[Mode, ...]:
+    """Distinct modes that are climbed from points (dim,), best first; `sd` are the prior's."""
     modes: list[Mode] = []
-    for end in ends:
-        mode = maximize(posterior.log_prob, end, sd)
+    for point in points:
+        mode = maximize(posterior.log_prob, point, sd)
         if not any(previous.is_near(mode.q, mode.log_prob) for previous in modes):
             modes.append(mode)
     return tuple(sorted(modes, key=lambda mode: -mode.log_prob))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -38,6 +39,11 @@ Array = NDArray[np.float64]
 
 LEAST_AFTER = 20  # fewest samples that are fitted after the samples that are discarded
 REPLICAS = 50  # posterior predictive records that are stored for each ensemble
+
+
+def seed_of(name: str) -> int:
+    """Number of a test's name for its seed: that of other tests does not change it."""
+    return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big")
 
 
 @dataclass(frozen=True, eq=False)

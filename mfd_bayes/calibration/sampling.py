@@ -34,11 +34,11 @@ from mfd_bayes.calibration.proposal import (
     Mode,
     Proposal,
     Rows,
+    climb,
     find_modes,
     fit_proposal,
     laplace_mixture,
     log_evidence,
-    maximize,
 )
 from mfd_bayes.errors import FitError, whole_number
 from mfd_bayes.jobs.job import Progress
@@ -508,7 +508,8 @@ def sample(
     if begin is None:
         modes = find_modes(posterior, rng, starts=settings.starts)
     else:
-        modes = _modes_near(posterior, begin, rng)
+        sd = posterior.coordinates(posterior.sample_prior(2000, rng)).std(axis=0)
+        modes = climb(posterior, begin, sd)
     chains = sample_density(
         posterior.log_prob, modes, settings, rng, derived=posterior.derived, report=report
     )
@@ -530,17 +531,6 @@ def sample(
         wall_time=time.perf_counter() - began,
         posterior=posterior,
     )
-
-
-def _modes_near(posterior: Posterior, begin: Array, rng: np.random.Generator) -> tuple[Mode, ...]:
-    """Distinct modes that are climbed from points (m, dim), best first."""
-    sd = posterior.coordinates(posterior.sample_prior(2000, rng)).std(axis=0)
-    modes: list[Mode] = []
-    for point in begin:
-        mode = maximize(posterior.log_prob, point, sd)
-        if not any(previous.is_near(mode.q, mode.log_prob) for previous in modes):
-            modes.append(mode)
-    return tuple(sorted(modes, key=lambda mode: -mode.log_prob))
 
 
 def generator_of(seed: int | Sequence[int]) -> np.random.Generator:

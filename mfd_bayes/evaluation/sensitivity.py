@@ -15,7 +15,7 @@ from mfd_bayes.messages import Message
 from mfd_bayes.population.hyperprior import log_prior
 from mfd_bayes.population.law_scores import LARGEST_K
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.test_sequence import LOG_LIKELIHOOD, stored_pooled
+from mfd_bayes.runs.test_sequence import stored_log_likelihood
 from mfd_bayes.store.netcdf import StoredTest
 
 Array = NDArray[np.float64]
@@ -42,12 +42,11 @@ class JointDensity:
     @classmethod
     def of(cls, run: Run) -> JointDensity | None:
         """Those of a run; None where an earlier version has stored no log likelihood."""
-        stored = run.folder, run.manifest, run.population
-        pooled = [stored_pooled(*stored, name, densities=True) for name in run.tests]
-        if not all(LOG_LIKELIHOOD in values for values in pooled):
+        stored = [stored_log_likelihood(run.folder, run.manifest, name) for name in run.tests]
+        of_tests = [values for values in stored if values is not None]
+        if not run.tests or len(of_tests) < len(stored):
             return None
-        likelihood = np.sum([values[LOG_LIKELIHOOD] for values in pooled], axis=0)
-        return cls(log_prior(run.population, ()), likelihood.reshape(run.population.shape))
+        return cls(log_prior(run.population, ()), np.sum(of_tests, axis=0))
 
 
 def test_rows(test: TestResult, stored: StoredTest) -> Rows:

@@ -148,7 +148,6 @@ def assess(run: Run, jobs: int = 1) -> CampaignView:
         systems=both_systems(run.system),
         tested=run.tested,
         drifts=drift_rows(run) if table else (),
-        sensitivity=sensitivity.law_rows(run, sensitivity.JointDensity.of(run)),
         model=run.model,
     )
 

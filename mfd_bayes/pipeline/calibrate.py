@@ -10,7 +10,6 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.result import Task, TestResult, load_result
 from mfd_bayes.campaign.synthetic import write_campaign
 from mfd_bayes.errors import FitError, StoreError
@@ -22,7 +21,6 @@ from mfd_bayes.pipeline.options import RunOptions
 from mfd_bayes.pipeline.plan import Plan, plan_campaign
 from mfd_bayes.pipeline.report import write_report
 from mfd_bayes.population.inference import infer_population
-from mfd_bayes.population.population import save_population
 from mfd_bayes.runs.folder import (
     CAMPAIGN,
     MANIFEST,
@@ -44,9 +42,9 @@ from mfd_bayes.runs.folder import (
 from mfd_bayes.runs.manifest import Manifest, Status, Truth, add_calibrated_model, mark_pages
 from mfd_bayes.runs.resume import check_free, prepare_folder
 from mfd_bayes.runs.run import Run
-from mfd_bayes.runs.test_sequence import LOG_LIKELIHOOD
+from mfd_bayes.runs.test_sequence import save_inference
 from mfd_bayes.store.files import PART, is_part, remove_file, write_bytes
-from mfd_bayes.store.netcdf import save_arrays, save_trace
+from mfd_bayes.store.netcdf import save_trace
 
 _POPULATION = ("law_scores", "free_exponents", "dependence_scores", "population_sampler")
 """Keys of the manifest that hold results of the population."""
@@ -232,10 +230,7 @@ def _infer_population(
         manifest.settings.inference(options.effort, (options.seed, 0), options.processes),
         lambda progress: observe(Step("population", "sampling", progress)),
     )
-    for j, name in enumerate(results):
-        arrays = inference.values(j) | {LOG_LIKELIHOOD: inference.log_likelihood[..., j]}
-        save_arrays(folder / pooled_of(name), arrays, {"test": name}, units(model))
-    save_population(folder / POPULATION, inference.population)
+    save_inference(folder, inference, results, model)
     seconds, worst = time.perf_counter() - began, inference.population.convergence
     sweeps = inference.sweeps
     progress = Progress(sweeps, sweeps, worst.worst_r_hat, worst.worst_ess, seconds)

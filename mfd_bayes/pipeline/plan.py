@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
 import time
 from collections.abc import Mapping, Sequence
@@ -17,7 +16,7 @@ import numpy as np
 
 from mfd_bayes.calibration.effort import find_effort
 from mfd_bayes.calibration.priors import PriorFile, load_priors
-from mfd_bayes.calibration.result import Task
+from mfd_bayes.calibration.result import Task, seed_of
 from mfd_bayes.campaign.campaign import Campaign, Test, load_campaign
 from mfd_bayes.campaign.schema import CampaignFile, NoiseName
 from mfd_bayes.errors import CampaignError, FitError, hash_file
@@ -214,7 +213,6 @@ def _task(
     campaign: Campaign, priors: PriorFile, test: Test, trace: Trace, options: RunOptions
 ) -> Task:
     """Job that calibrates a test, of whose prior some draws must give a usable force."""
-    digest = hashlib.sha256(test.id.encode()).digest()
     task = Task(
         id=test.id,
         file=posterior_of(test.id),
@@ -224,7 +222,7 @@ def _task(
         noise=campaign.noise,
         initial=campaign.settings.campaign.initial,
         effort=options.effort,
-        seed=(options.seed, int.from_bytes(digest[:8], "big")),
+        seed=(options.seed, seed_of(test.id)),
     )
     posterior = task.posterior()
     draws = posterior.sample_prior(64, 0)

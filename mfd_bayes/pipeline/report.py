@@ -9,6 +9,7 @@ from mfd_bayes.applications.properties.harmonic import parse_condition
 from mfd_bayes.applications.properties.page import TABLES, standard_view
 from mfd_bayes.errors import MfdError, ReportError
 from mfd_bayes.evaluation.assessment import write_assessment
+from mfd_bayes.evaluation.sensitivity import JointDensity, law_rows
 from mfd_bayes.evaluation.summary import assess, verdicts
 from mfd_bayes.evaluation.views import CampaignView
 from mfd_bayes.jobs.job import Observe, Step, Workplace
@@ -68,7 +69,9 @@ def write_report(
         (run.folder / CROSSVALIDATION).unlink(missing_ok=True)
     observe(Step("report", "data sheet"))
     shown = replace(run, units=system.name)
-    sheet = datasheet(shown, conditions) if run.tests else None
+    joint = JointDensity.of(run)
+    view = replace(view, sensitivity=law_rows(run, joint))
+    sheet = datasheet(shown, conditions, joint) if run.tests else None
     if run.tests and (standard := standard_view(shown)):
         additions.append(standard.section())
     else:  # tables of a standard that an earlier campaign named

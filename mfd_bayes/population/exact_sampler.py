@@ -373,7 +373,6 @@ class ExactSampler:
         h: list[Array] = []
         z: list[Array] = []
         x: list[NDArray[np.float32]] = []
-        log_likelihood: list[Array] = []
         look = FIRST
         while True:
             while len(h) < look:
@@ -382,8 +381,6 @@ class ExactSampler:
                 z.append(self.state.z)
                 if (len(h) - 1) % stride == 0:
                     x.append(np.asarray(self.state.x, dtype=np.float32))
-                    s = self.state
-                    log_likelihood.append(self.mixed.log_tests(s.h, s.z, self.choice))
             # of the coordinates of h, the levels and the slopes, across groups of chains
             columns = np.concatenate([np.array(h), np.array(z)[..., : tabled.size]], axis=2)
             grouped = columns.reshape(len(h), CHAINS, columns.shape[1] // CHAINS, -1)
@@ -396,12 +393,17 @@ class ExactSampler:
         n_states = max(1, min(len(x), n_kept // (len(self.choice) // CHAINS)))
         steps = np.linspace(0, len(x) - 1, n_states).astype(int)
 
-        def by_chain(history: Sequence[NDArray[Any]]) -> Array:
-            states = np.stack([history[t] for t in steps], axis=1).astype(np.float64)
-            return states.reshape(CHAINS, -1, *states.shape[2:])
+        def by_chain(states: Sequence[NDArray[Any]]) -> Array:
+            stacked = np.stack(states, axis=1).astype(np.float64)
+            return stacked.reshape(CHAINS, -1, *stacked.shape[2:])
 
         tests, together = (float(np.mean(r)) for r in zip(*self.rates, strict=True))
-        kept_draws = by_chain(h[::stride]), by_chain(z[::stride]), by_chain(x)
+        scatter, levels = ([values[t * stride] for t in steps] for values in (h, z))
+        log_likelihood = [
+            self.mixed.log_tests(*pair, self.choice) for pair in zip(scatter, levels, strict=True)
+        ]
         return PopulationDraws(
-            *kept_draws, by_chain(log_likelihood), convergence, len(h), (tests, together)
+            *(by_chain(scatter), by_chain(levels), by_chain([x[t] for t in steps])),
+            by_chain(log_likelihood),
+            *(convergence, len(h), (tests, together)),
         )

@@ -202,16 +202,13 @@ class MixedModel:
     ) -> tuple[Array, Coefficients]:
         """Log marginal likelihood of tests (all by default) given h, (n,), and z given these."""
         design, tau, omega = self.design, self.tau(h), self.omega(h)
-        n, a, b = len(h), self.prior_precision(h), np.zeros((len(h), design.quantity.size))
+        a, b = self.prior_precision(h), np.zeros((len(h), design.quantity.size))
         used = np.arange(len(self.y)) if tests is None else np.sort(np.asarray(tests, np.intp))
-        # precision of A z + law without the deviations
-        p, inner = self.p[used], self._inner(used, tau)
-        across = np.broadcast_to(p[:, self.free], (n, *p[:, self.free].shape))
-        precision = p - p[:, :, self.free] @ np.linalg.solve(inner, across)
+        precision, log_det = self._without_deviations(used, tau)
         residual = self.y[used] - self.offsets(h, choice)[:, used]
         pulled = (precision @ residual[..., None])[..., 0]
         total = -np.log(omega) @ np.array([design.columns(e).size for e in range(self.e)])
-        total -= 0.5 * np.linalg.slogdet(inner)[1].sum(axis=1) + used.size * np.log(tau).sum(axis=1)
+        total -= 0.5 * log_det.sum(axis=1) + used.size * np.log(tau).sum(axis=1)
         total += 0.5 * np.log(self.weight[used]).sum() - 0.5 * np.sum(
             residual * pulled, axis=(1, 2)
         )
@@ -231,14 +228,10 @@ class MixedModel:
     def log_tests(self, h: Array, z: Array, choice: Index) -> Array:
         """Log likelihood of each test given h and z, its deviations integrated out, (n, J)."""
         tau = self.tau(h)
-        inner = self._inner(np.arange(len(self.y)), tau)
+        precision, log_det = self._without_deviations(np.arange(len(self.y)), tau)
         residual = self.y - self.offsets(h, choice) - self.design.linear(z, self.rows)
-        pulled = np.einsum("jab,njb->nja", self.p, residual)
-        of_free = pulled[..., self.free]
-        squares = np.sum(residual * pulled, axis=-1)
-        squares -= np.sum(of_free * forward(inner, of_free), axis=-1)
-        log = -0.5 * squares - 0.5 * np.linalg.slogdet(inner)[1]
-        return np.asarray(log - np.log(tau).sum(axis=1)[:, None])
+        squares = np.sum(residual * (precision @ residual[..., None])[..., 0], axis=-1)
+        return np.asarray(-0.5 * (squares + log_det) - np.log(tau).sum(axis=1)[:, None])
 
     def prior_precision(self, h: Array) -> Array:
         """Precision of z before any test, (n, Z, Z)."""
@@ -277,6 +270,13 @@ class MixedModel:
         prior = self.weight[js] / tau[:, None] ** 2
         p = self.p[js][:, self.free][:, :, self.free]
         return p + prior[..., None] * np.eye(self.f)
+
+    def _without_deviations(self, js: Index, tau: Array) -> tuple[Array, Array]:
+        """Precision of A z + law of tests js, (n, m, d, d), and log determinants of `_inner`."""
+        p, inner = self.p[js], self._inner(js, tau)
+        across = np.broadcast_to(p[:, self.free], (len(tau), *p[:, self.free].shape))
+        precision = p - p[:, :, self.free] @ np.linalg.solve(inner, across)
+        return precision, np.asarray(np.linalg.slogdet(inner)[1])
 
     def deviations(self, h: Array, choice: Index, z: Array) -> tuple[Array, Array]:
         """Mean of the deviations given the rest, (n, J, F), and factors of their precision."""

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from io import FileIO
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from mfd_bayes.errors import StoreError, hash_file
 from mfd_bayes.jobs.signals import before_end
@@ -35,6 +35,9 @@ DISCARDED = f".{MANIFEST}.discarded"
 OWNER = ".owner"
 """The lock of the folder, which names the process that works in it."""
 
+PartKind = Literal["test", "level", "session", "motion"]
+"""What is left out of a campaign at a time."""
+
 FOLDERS = ("tests", "figures", CROSSVALIDATION, REHEARSAL)
 """Folders in a run folder."""
 
@@ -42,7 +45,7 @@ WRITTEN = re.compile(
     r"tests/[^/]+/((posterior|pooled|record)\.nc|record\.csv|page\.html"
     r"|(loops|history|residuals|marginals|corner|ranks)\.png)"
     r"|figures/(overview|laws|truth|next)\.(png|csv)"
-    rf"|{CROSSVALIDATION}/(test|level|session)_\d+\.json"
+    rf"|{CROSSVALIDATION}/({'|'.join(get_args(PartKind))})_\d+\.json"
     rf"|{REHEARSAL}/run_\d+\.json"
 )
 """Names of the files that a run and its report write in these folders; others are not theirs."""

@@ -26,7 +26,14 @@ from mfd_bayes.jobs.job import JobState
 from mfd_bayes.population.law_scores import DependenceScore, LawScore
 from mfd_bayes.records.cycles import MeasuredCycles
 from mfd_bayes.runs.findings import Finding
-from mfd_bayes.runs.folder import MANIFEST, POPULATION, check_stored, pooled_of, posterior_of
+from mfd_bayes.runs.folder import (
+    MANIFEST,
+    POPULATION,
+    PartKind,
+    check_stored,
+    pooled_of,
+    posterior_of,
+)
 from mfd_bayes.runs.unit_system import UnitSystem, system_of
 from mfd_bayes.store.files import (
     AtLeastOne,
@@ -157,9 +164,6 @@ class Entry(Part):
 
 
 # --- what evaluation makes of a run, as the manifest holds it
-
-PartKind = Literal["test", "level", "session", "motion"]
-"""What is left out of a campaign at a time."""
 
 
 @dataclass(frozen=True)

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mfd_bayes.calibration.priors import units
 from mfd_bayes.calibration.result import TestResult
 from mfd_bayes.errors import FitError, StoreError
+from mfd_bayes.friction.model import Model
 from mfd_bayes.population.bands import THIS_TEST, PredictionOptions, Predictor
-from mfd_bayes.population.population import FinalState, Population
+from mfd_bayes.population.population import FinalState, Population, save_population
 from mfd_bayes.records.trace import Trace
-from mfd_bayes.runs.folder import check_stored, pooled_of
+from mfd_bayes.runs.folder import POPULATION, check_stored, pooled_of
 from mfd_bayes.runs.manifest import Manifest
-from mfd_bayes.store.netcdf import load_arrays
+from mfd_bayes.store.netcdf import load_arrays, save_arrays
+
+if TYPE_CHECKING:
+    from mfd_bayes.population.inference import Inference
 
 Array = NDArray[np.float64]
 
@@ -132,13 +138,29 @@ class TestSequence:
         )
 
 
-def stored_pooled(
-    folder: Path, manifest: Manifest, population: Population, name: str, *, densities: bool = False
-) -> Mapping[str, Array]:
-    """Pooled quantities of a test that a run folder holds, (n,) each; empty where none are.
+def save_inference(folder: Path, inference: Inference, names: Iterable[str], model: Model) -> None:
+    """Write the population, and each test's quantities and log likelihood in it."""
+    for j, name in enumerate(names):
+        arrays = inference.values(j) | {LOG_LIKELIHOOD: inference.log_likelihood[..., j]}
+        save_arrays(folder / pooled_of(name), arrays, {"test": name}, units(model))
+    save_population(folder / POPULATION, inference.population)
 
-    With `densities` its log likelihood is there too, unless an earlier version has stored it.
+
+def stored_log_likelihood(folder: Path, manifest: Manifest, name: str) -> Array | None:
+    """Log likelihood of a test in each draw of the population, (chain, draw).
+
+    None of an earlier version, which has stored none.
     """
+    if not (folder / (file := pooled_of(name))).is_file():
+        return None
+    arrays, _ = load_arrays(check_stored(folder, file, manifest.files))
+    return arrays.get(LOG_LIKELIHOOD)
+
+
+def stored_pooled(
+    folder: Path, manifest: Manifest, population: Population, name: str
+) -> Mapping[str, Array]:
+    """Pooled quantities of a test that a run folder holds, (n,) each; empty where none are."""
     file = pooled_of(name)
     if not (folder / file).is_file():
         return {}
@@ -147,5 +169,4 @@ def stored_pooled(
     names = population.design.coordinates.names
     if any(k not in values or values[k].shape != population.shape for k in names):
         raise StoreError(f"{path} is damaged: it does not hold the draws of its population")
-    names = (*names, *({LOG_LIKELIHOOD} & values.keys() if densities else ()))
     return {k: np.ravel(values[k]).astype(np.float64) for k in names}

@@ -3,13 +3,14 @@
 import json
 import shutil
 from dataclasses import replace
+from typing import get_args
 
 import pytest
 
 from mfd_bayes.errors import StoreError
 from mfd_bayes.pipeline.report import report
 from mfd_bayes.reporting.options import ReportOptions
-from mfd_bayes.runs.folder import discard
+from mfd_bayes.runs.folder import PartKind, discard
 from mfd_bayes.runs.resume import prepare_folder, with_keys
 from mfd_bayes.runs.run import open_run
 
@@ -151,6 +152,16 @@ def test_a_link_in_place_of_a_folder_is_removed_and_not_what_it_leads_to(out):
     discard(out)
     assert [path.name for path in out.iterdir()] == ["kept"]
     assert (out / "kept" / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("kind", get_args(PartKind))
+def test_predictions_of_parts_that_were_left_out_are_removed_with_the_run(out, kind):
+    stored, mine = (out / "crossvalidation" / f"{name}_7.json" for name in (kind, "mine"))
+    for path in (stored, mine):
+        path.write_text("{}")
+    discard(out)
+    assert not stored.exists()
+    assert mine.exists()
 
 
 # --- damaged files, and files that are not the run's

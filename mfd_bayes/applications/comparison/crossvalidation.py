@@ -21,8 +21,8 @@ from mfd_bayes.jobs.local import run_jobs
 from mfd_bayes.population.bands import PredictionOptions, Predictor, holds_whole
 from mfd_bayes.population.design import TestConditions, levels_of, setting_of, with_zeros
 from mfd_bayes.population.inference import infer_population
-from mfd_bayes.runs.folder import CROSSVALIDATION, MANIFEST, check_stored
-from mfd_bayes.runs.manifest import PartKind, Prediction
+from mfd_bayes.runs.folder import CROSSVALIDATION, MANIFEST, PartKind, check_stored
+from mfd_bayes.runs.manifest import Prediction
 from mfd_bayes.runs.run import Run, open_run, prediction_conditions
 from mfd_bayes.runs.test_sequence import TestSequence
 from mfd_bayes.runs.unit_system import US

@@ -63,10 +63,14 @@ _CYCLES = [
 """Of `Datasheet.cycles`."""
 
 
-def datasheet(run: Run, conditions: Sequence[Condition] = ()) -> Datasheet:
-    """Data sheet of a run: every condition that was tested, and those of `conditions`."""
+def datasheet(
+    run: Run, conditions: Sequence[Condition] = (), joint: JointDensity | None = None
+) -> Datasheet:
+    """Data sheet of a run: every condition that was tested, and those of `conditions`.
+
+    With the run's `joint` density it says what follows the prior.
+    """
     tests = harmonic_tests(run)
-    joint = JointDensity.of(run)
     scaled: list[Row] = []
     table, lacking = [], []
     for condition in dict.fromkeys([*sorted({test.condition for test in tests}), *conditions]):
@@ -115,10 +119,14 @@ def sheet_values(run: Run) -> dict[tuple[str, str, str, str], float]:
     values = {}
     for row in rows:
         if not row["cycle"]:
-            name = f"{row['quantity'].replace('_', ' ')} {row['direction']}".strip()
+            name = run.system.text(_words(row["quantity"], row["direction"]))
             for which in ("nominal", "lower", "upper"):
                 values[row["condition"], name, which, row["unit"]] = row[which]
     return values
+
+
+def _words(quantity: str, direction: str) -> str:
+    return f"{quantity.replace('_', ' ')} {direction}".strip()
 
 
 def _rows(
@@ -175,9 +183,7 @@ def _rows(
                 | {f"{key}_other": other_bounds[key] for key in ("lower_ratio", "upper_ratio")}
             )
     properties = {
-        (axes.text(f"{quantity.sheet.replace('_', ' ')} {quantity.direction}".strip()), of): (
-            draws[basis][name]
-        )
+        (axes.text(_words(quantity.sheet, quantity.direction)), of): draws[basis][name]
         for name, quantity in ((q.name, q) for q in _ON_SHEET if q.applies(axes))
         for basis, of in (("mean", "nominal value"), (BASIS, "bounds"))
     }

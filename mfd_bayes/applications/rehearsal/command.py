@@ -9,11 +9,18 @@ import typer
 
 from mfd_bayes.applications.rehearsal.options import RehearseOptions
 from mfd_bayes.applications.rehearsal.rehearsal import Rehearsal, StoredRehearsal
-from mfd_bayes.applications.rehearsal.summary import SHEET, RehearsalSummary
+from mfd_bayes.applications.rehearsal.summary import (
+    SHEET,
+    RehearsalSummary,
+    draw_rehearsals,
+    rehearsal_page,
+)
 from mfd_bayes.console import say
 from mfd_bayes.jobs.job import JobState, Observe, Step
 from mfd_bayes.jobs.local import check_workers, get_ready, run_jobs
 from mfd_bayes.jobs.progress import show_progress
+from mfd_bayes.reporting.figures import to_png
+from mfd_bayes.reporting.tables import to_csv
 from mfd_bayes.runs.folder import (
     POPULATION,
     REHEARSAL,
@@ -72,10 +79,6 @@ def rehearse(run: Run, options: RehearseOptions, observe: Observe) -> list[Store
 
 def write_rehearsals(run: Run, summary: RehearsalSummary, effort: str) -> None:
     """Write table, picture and page into the run folder."""
-    from mfd_bayes.applications.rehearsal.summary import draw_rehearsals, rehearsal_page
-    from mfd_bayes.reporting.figures import to_png
-    from mfd_bayes.reporting.tables import to_csv
-
     manifest, folder = run.manifest, run.folder
     facts = {
         "rehearsals": str(summary.runs),

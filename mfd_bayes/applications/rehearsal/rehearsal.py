@@ -21,7 +21,6 @@ the answer of this one is.
 
 from __future__ import annotations
 
-import hashlib
 import math
 import tempfile
 import time
@@ -35,8 +34,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfd_bayes.applications.properties import sheet_conditions
 from mfd_bayes.calibration.diagnostics import effective_size
-from mfd_bayes.calibration.priors import units
-from mfd_bayes.calibration.result import Task, TestResult, load_result
+from mfd_bayes.calibration.result import Task, TestResult, load_result, seed_of
 from mfd_bayes.errors import FitError, MfdError, StoreError
 from mfd_bayes.evaluation.bounds import drawn_properties, with_gains
 from mfd_bayes.jobs.job import JobState, Outcome, Step
@@ -57,8 +55,8 @@ from mfd_bayes.runs.folder import (
     posterior_of,
 )
 from mfd_bayes.runs.run import Run, open_run, prediction_conditions, sequence_of
+from mfd_bayes.runs.test_sequence import save_inference
 from mfd_bayes.store.files import Figure, Part, check, read_json, write_json
-from mfd_bayes.store.netcdf import save_arrays
 
 Array = NDArray[np.float64]
 Draws = Mapping[str, Array]  # of quantities by name, (chain, draw) each
@@ -250,13 +248,12 @@ def recalibrate(
     results: dict[str, TestResult] = {}
     for name, trace in truth.traces.items():
         observe(f"test {len(results) + 1} of {size}")
-        digest = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big")
         task = Task(
             *(name, posterior_of(name), trace, run.priors, run.model),
             noise=settings.campaign.noise,
             initial=settings.campaign.initial,
             effort=effort,
-            seed=(*seed, digest),
+            seed=(*seed, seed_of(name)),
         )
         if error := task.run(folder, lambda _: None).error:
             raise FitError(f"{name}: {error}")
@@ -268,9 +265,7 @@ def recalibrate(
         manifest = manifest.with_test(name, measured=measured)
     observe("population")
     inference = infer_population(results, run.priors, settings.inference(effort, (*seed, 0)))
-    for j, name in enumerate(results):
-        arrays = inference.values(j)
-        save_arrays(folder / pooled_of(name), arrays, {"test": name}, units(run.model))
+    save_inference(folder, inference, results, run.model)
     manifest = manifest.changed(files={}, peak_excess={})
     calibrated = replace(run, folder=folder, manifest=manifest, tests=results)
     return calibrated.with_population(inference.population)

@@ -44,7 +44,7 @@ from mfd_bayes.runs.folder import (
     record_of,
 )
 from mfd_bayes.runs.run import Run, open_run
-from mfd_bayes.runs.test_sequence import LOG_LIKELIHOOD
+from mfd_bayes.runs.test_sequence import save_inference
 from mfd_bayes.store.files import write_bytes
 from mfd_bayes.store.netcdf import load_arrays, save_arrays, save_test
 
@@ -318,10 +318,7 @@ class _Work:
             ),
             lambda progress: self.observe(Step("population", "sampling", progress)),
         )
-        for j, name in enumerate(results):
-            arrays = inference.values(j) | {LOG_LIKELIHOOD: inference.log_likelihood[..., j]}
-            save_arrays(self.folder / pooled_of(name), arrays, {"test": name}, units(model))
-        save_population(self.folder / POPULATION, inference.population)
+        save_inference(self.folder, inference, results, model)
         self.observe(Step("population", JobState.DONE))
         return {
             "law_scores": inference.scores,
