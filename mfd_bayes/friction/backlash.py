@@ -89,7 +89,7 @@ class SpringAndBristle:
 
     columns: Mapping[str, Array]
 
-    def of(self, rows: Index) -> SpringAndBristle:
+    def of(self, rows: Index | NDArray[np.bool_]) -> SpringAndBristle:
         """Some of the dampers."""
         subset = SpringAndBristle(
             {name: column[..., rows] for name, column in self.columns.items()}
@@ -303,39 +303,48 @@ class Steps(NamedTuple):
     bound: Array
     length: Array
 
+    def of(self, rows: Index | NDArray[np.bool_]) -> Steps:
+        """Those of some of the dampers."""
+        return Steps(*(a if a.shape[1] == 1 else a[:, rows] for a in self))
+
 
 def advance(damper: SpringAndBristle, steps: Steps, z0: Array) -> tuple[Array, Array]:
     """Spring force after each step, (R, n), kip, and the last deflection, (n,), in.
 
-    Both are NaN for vectors that Newton's method cannot solve. `z0` is the deflection before.
+    Both are NaN for dampers that Newton's method cannot solve. `z0` is the deflection before.
+    One that is solved waits for the others, without effect, until they are less than half.
     """
     n, slip = damper.columns["n"], _at_once(damper, steps)
     turned = (steps.sign[1:] != steps.sign[:-1]).any(axis=1)
     turns = np.flatnonzero(np.append(True, turned))  # the first step too
     z = np.concatenate([z0[None], guess(damper, steps, turns, z0)])
     error = np.square(damper.rate / np.where(n < 2.0, CLOSE_BLUNT, CLOSE))
-    lost = np.zeros(n.size, dtype=bool)
-    force, now = np.empty(steps.level.shape), z[1:]
+    force, end = np.full(steps.level.shape, np.nan), np.full(n.size, np.nan)
+    rows, waits = np.arange(n.size), np.ones(n.size, dtype=bool)
     for iteration in range(ITERATIONS):
         spring, slope, decay, drive = newton(damper, steps, slip, turns, z)
-        step = solve(decay, drive, np.zeros(n.size))
-        moved = np.square(step) @ error
-        if not np.isfinite(moved.sum()):
-            lost |= ~np.isfinite(step).all(axis=0)
-            step[:, lost], z[:, lost], error[lost] = 0.0, 0.0, 0.0
-            moved = np.square(step) @ error
+        step = solve(decay, drive, np.zeros(rows.size))
+        now = z[1:]
         now += step
         slope *= step
-        np.add(spring, slope, out=force)
-        if moved.max() > FAR_OFF * n.size and iteration < CUTS:
-            limit = np.minimum(steps.sign * now, steps.bound + 2.0 * steps.length)
-            np.multiply(steps.sign, limit, out=now, where=steps.way > 0.0)  # at rest more may stay
-        if moved.max() <= 1.0:
+        spring += slope
+        moved = np.square(step).max(axis=0) * error  # NaN where there is no solution
+        solved = waits & (moved <= 1.0)
+        force[:, rows[solved]], end[rows[solved]] = spring[:, solved], now[-1, solved]
+        waits &= moved > 1.0
+        if not waits.any():
             break
-    else:
-        lost |= (np.square(step) * error > 1.0).any(axis=0)
-    force[:, lost] = np.nan
-    return force, np.where(lost, np.nan, z[-1])
+        if 2 * np.count_nonzero(waits) <= rows.size or np.isnan(moved).any():
+            rows, error, z, moved = rows[waits], error[waits], z[:, waits], moved[waits]
+            damper, steps = damper.of(waits), steps.of(waits)
+            slip = None if slip is None else slip[:, waits]
+            waits = waits[waits]
+        far_off = moved > FAR_OFF
+        if far_off.any() and iteration < CUTS:
+            limit = np.minimum(steps.sign * z[1:], steps.bound + 2.0 * steps.length)
+            # at rest more may stay
+            np.multiply(steps.sign, limit, out=z[1:], where=far_off & (steps.way > 0.0))
+    return force, end
 
 
 def newton(
