@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import mfd_bayes as mb
 from mfd_bayes.friction.models import MODELS, find_model
@@ -249,7 +250,7 @@ def test_a_built_in_model_is_changed_by_what_it_computes():
 
 # --- the steel of examples/coupons beside OpenSees' Steel02, written out step by step
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "coupons"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 STEELS = np.array(
     [[2.0e5, 450.0, 0.02, 0.9, 0.1, 0.03, 0.02], [1.8e5, 520.0, 0.005, 0.85, 0.2, 0, 0.1]]
 )
@@ -284,8 +285,57 @@ def test_the_example_agrees_with_steel02_in_steps():
     strain = np.interp(np.arange(0, 30, 0.1), np.arange(31), turns)
     strain[40] = strain[39]  # a sample that is there twice keeps the direction
     trace = mb.Trace.from_arrays(np.arange(strain.size, dtype=float), strain)
-    stress = find_model("steel.py:Steel", EXAMPLE).force(STEELS, trace)
+    stress = find_model("steel.py:Steel", EXAMPLES / "coupons").force(STEELS, trace)
     for row, values in zip(stress, STEELS, strict=True):
         assert np.max(np.abs(row - steel02(strain, *values))) < 1e-8
         hardened = [*values[:-1], values[-1] + 0.01]  # the control: another hardening
         assert np.max(np.abs(row - steel02(strain, *hardened))) > 1.0
+
+
+# --- the damper of examples/self_energising
+
+SELF_ENERGISING = [60.0, 50.0, 0.25, 0.02, 0.3, 3.0, 2.5, 0.1, 0.5, 0.8]
+
+
+def exact(trace, values, start):
+    """Force by an ODE solver: c dz/dt = what the force of the damped end is, less G(z)."""
+    k_f, k_b, width, rounding, k_gap, forward, backward, c, beta_f, beta_b = values
+
+    def spring(z):
+        ahead, behind = (z - width / 2) / rounding, -(z + width / 2) / rounding
+        force = k_f * rounding * np.logaddexp(0, ahead) - k_b * rounding * np.logaddexp(0, behind)
+        return force + k_gap * z
+
+    def limited(t, z):
+        now, v = spring(z), np.interp(t, trace.time, trace.velocity)
+        up = forward * (1 - beta_f) + beta_f * np.maximum(now, 0)
+        down = -backward * (1 - beta_b) + beta_b * np.minimum(now, 0)
+        return np.clip(now + c * v, down, up), now
+
+    def rate(t, z):
+        force, now = limited(t, z)
+        return (force - now) / c
+
+    low, high = -width / 2 - backward / k_b, width / 2 + forward / k_f
+    begin, span = [low + start * (high - low)], (trace.time[0], trace.time[-1])
+    z = solve_ivp(rate, span, begin, t_eval=trace.time, max_step=1e-3, rtol=1e-8).y[0]
+    return limited(trace.time, z)[0]
+
+
+def test_the_damped_example_agrees_with_an_ode_solver_and_steps_as_it_goes():
+    time = np.arange(0, 2, 1 / 2048)
+    motion, speed = np.sin(np.pi * time), np.pi * np.cos(np.pi * time)
+    trace = mb.Trace.from_arrays(time, motion, velocity=speed, actuation=1.0)
+    model = find_model("damper.py:SelfEnergising", EXAMPLES / "self_energising")
+    theta = np.array([SELF_ENERGISING])
+    force = model.force(theta, trace, 0.3)[0, 1:]  # the first sample has no step before it
+    assert np.max(np.abs(force - exact(trace, SELF_ENERGISING, 0.3)[1:])) < 0.02
+    undamped = [*SELF_ENERGISING[:7], 0.05, *SELF_ENERGISING[8:]]  # the control: half as much
+    assert np.max(np.abs(force - exact(trace, undamped, 0.3)[1:])) > 0.1
+    low, high = -0.125 - 2.5 / 50.0, 0.125 + 3.0 / 60.0
+    force = model.force(theta, trace, -low / (high - low))[0]  # from the middle, as a step does
+    state, steps = model.start(theta, reference_actuation=1.0), []
+    for x, v, dt in zip(motion, speed, np.diff(time, prepend=0.0), strict=True):
+        now, state = model.step(state, x, v, dt, 1.0)
+        steps.append(now[0])
+    np.testing.assert_allclose(steps, force, atol=2e-3)
