@@ -51,6 +51,7 @@ def main() -> None:
     parser.add_argument("--priors", nargs="*", default=[OWN, *CHANGES])
     parser.add_argument("--campaign", type=Path)
     arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
     run = open_run(arguments.run)
     chance = 1.25 / np.sqrt(run.population.convergence.worst_ess)
     print(f"{run.manifest.title}, {run.manifest.effort.name}; {len(run.tests)} tests")
