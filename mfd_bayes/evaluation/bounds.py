@@ -18,7 +18,7 @@ from mfd_bayes.evaluation.properties import (
 from mfd_bayes.evaluation.scores import Rows
 from mfd_bayes.population.bands import KIND_NAMES, Band
 from mfd_bayes.population.design import LEVELS, levels_of, setting_of, with_zeros
-from mfd_bayes.population.peaks import certain
+from mfd_bayes.population.peaks import of_mean
 from mfd_bayes.records.cycles import PROPERTIES, cycle_values
 from mfd_bayes.records.loops import find_loops
 from mfd_bayes.records.record import NO_ACTUATION
@@ -64,8 +64,8 @@ def drawn_properties(
     """Draws of the properties of a motion by basis of `BASES`, then by name, (n,) each.
 
     `places` are session and device of the tests. The mean property has the mean excess of
-    measured peaks, the others its scatter too. All are as the tests' instruments read them.
-    Energies of the cycles at full stroke, "energy", are (n, L).
+    measured peaks, as uncertain as it is, the others its scatter too. All are as the tests'
+    instruments read them. Energies of the cycles at full stroke, "energy", are (n, L).
     """
     peaks, axes, properties = run.peaks, run.manifest.axes, {}
 
@@ -79,7 +79,7 @@ def drawn_properties(
         session = NEW if len(sessions_of(run)) > 1 else sessions_of(run)[0]
         bands[ANOTHER] = [draw("new_test", session, NEW, DESIGN_DRAWS)]
     for basis, several in bands.items():
-        excess = certain(peaks) if basis == "mean" else peaks
+        excess = of_mean(peaks) if basis == "mean" else peaks
         quiet = bands["new_test"] if basis == "observation" else several
         band_properties = []
         for band, test in zip(several, quiet, strict=True):

@@ -98,8 +98,21 @@ def _freedom(tests: float) -> float:
 Peaks = Mapping[str, PeakExcess]  # by direction, of `SIDES`
 
 
+class MeanExcess(PeakExcess):
+    """The mean excess of all tests: its rate is uncertain, and no test scatters about it."""
+
+    def scale(self, speed: Array | float) -> Array:
+        """Scale of the mean excess, kip, at a largest speed, in/s."""
+        return np.asarray(self.scatter * np.sqrt(self.rate_variance) * np.abs(speed))
+
+
+def of_mean(peaks: Peaks) -> Peaks:
+    """The excess of the mean property."""
+    return {side: MeanExcess(**vars(excess)) for side, excess in peaks.items()}
+
+
 def certain(peaks: Peaks) -> Peaks:
-    """The excess without its scatter: that of the mean property."""
+    """The excess at its most likely rate, without scatter."""
     return {side: replace(excess, scatter=0.0) for side, excess in peaks.items()}
 
 

@@ -8,34 +8,36 @@ import pytest
 
 from mfd_bayes import open_run
 from mfd_bayes.evaluation.properties import predicted_rows, properties_of
-from mfd_bayes.population.peaks import NO_EXCESS, PeakExcess, certain
+from mfd_bayes.population.peaks import NO_EXCESS, PeakExcess, certain, of_mean
 from mfd_bayes.records.trace import Harmonic
 from mfd_bayes.runs.run import sequence_of
 from mfd_bayes.store.netcdf import StoredTest
 
 DATA = Path(__file__).parents[1] / "data" / "run"
 CAMPAIGNS, TESTS = 400, 8
+SCATTER = 0.2  # kip, somewhat more than the prior expects
 
 
-def coverage(scatter):
-    """Share of new tests inside the 80 % interval of the excess learned from others."""
+def coverage(of, new=True):
+    """Share of new tests, or of their mean, inside the 80 % interval of what others show."""
     rng, hits = np.random.default_rng(1), []
     for _ in range(CAMPAIGNS):
         speed, peak = rng.uniform(0.5, 7.0, TESTS + 1), np.full(TESTS + 1, 3.0)
-        excess = 0.15 * speed + 0.3 * rng.standard_normal(TESTS + 1)
-        learned = PeakExcess.of(excess[1:], speed[1:], peak[1:])
-        learned = learned if scatter else certain({"fwd": learned})["fwd"]
+        excess = 0.15 * speed + SCATTER * rng.standard_normal(TESTS + 1)
+        learned = of({"fwd": PeakExcess.of(excess[1:], speed[1:], peak[1:])})["fwd"]
         scores = learned.scores(rng, (500,))
         predicted = learned.seen(peak[0], speed[0], np.array(2.5), scores)
         low, high = np.quantile(predicted - peak[0], [0.1, 0.9])
-        hits.append(low <= excess[0] <= high)
+        hits.append(low <= (excess[0] if new else 0.15 * speed[0]) <= high)
     return np.mean(hits)
 
 
-def test_intervals_of_a_new_test_hold_its_peak_as_often_as_stated():
+def test_intervals_of_a_new_test_and_of_the_mean_hold_its_peak_as_often_as_stated():
     error = 4.0 * np.sqrt(0.8 * 0.2 / CAMPAIGNS)
-    assert abs(coverage(scatter=True) - 0.8) < error
-    assert abs(coverage(scatter=False) - 0.8) > error  # one without scatter is seen
+    assert abs(coverage(lambda peaks: peaks) - 0.8) < error
+    assert abs(coverage(of_mean, new=False) - 0.8) < error
+    for new in (True, False):  # the control: one that is certain is seen
+        assert abs(coverage(certain, new) - 0.8) > error
 
 
 def test_an_excess_is_one_of_force_that_grows_with_the_speed():
