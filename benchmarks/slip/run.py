@@ -2,7 +2,7 @@
 
     python -m benchmarks.slip.run > benchmarks/slip/slip.txt
 
-takes an hour of two cores (--quick: the fast fit of three models, some minutes). Each mechanism of
+takes 25 minutes of a core (--quick: the fast fit of three models, half a minute). Each mechanism of
 mechanisms.py, `three_stage` and `backlash` are fitted by least squares to raw force, with the start
 in the gap of each record; all other records are predicted. RRSE is the root of the squared error
 over that of the mean. The start of a record left out is either fitted, as all its own, or unknown:
