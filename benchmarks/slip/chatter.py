@@ -14,7 +14,7 @@ from benchmarks import common  # isort: skip  (one thread, before numpy)
 import numpy as np
 import pandas as pd
 
-from benchmarks.slip.run import HARMONIC, QUAKES, STARTS, fit, mechanism, read
+from benchmarks.slip.run import HARMONIC, QUAKES, STARTS, by_start, fit, mechanism, read, thinned
 from mfd_bayes.records.trace import Trace
 
 BUILT, WINDOW = 0.9, 0.15
@@ -41,7 +41,8 @@ def events(t, x, force, modelled, slip):
 
 def main():
     options = common.begin(common.parser_of(__doc__, data=True))
-    records, whole = read(options.data), read(options.data, None)
+    whole = read(options.data)
+    records = thinned(whole)
     backlash, rng = mechanism("backlash"), np.random.default_rng(options.seed)
     names = HARMONIC[-2:] if options.quick else HARMONIC
     fitted = [records[name] for name in names]
@@ -51,9 +52,7 @@ def main():
     theta, lines = backlash.values(coordinates)[None], []
     for name in (*HARMONIC, *QUAKES):
         t, x, force = whole[name]
-        rows, measured = np.tile(coordinates, (STARTS.size, 1)), records[name]
-        tried = backlash.force(rows, [measured] * STARTS.size, STARTS) + offset
-        start = STARTS[np.argmin(np.square(tried - measured[2][:, None]).mean(axis=0))]
+        start = STARTS[np.argmin(by_start(backlash, coordinates, offset, records[name])[1])]
         trace = Trace.from_arrays(t, x, actuation=1.0)
         modelled = backlash.model.force(theta, trace, start)[0]
         lines += [(name, *row) for row in events(t, x, force - offset, modelled, slip)]

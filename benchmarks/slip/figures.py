@@ -10,7 +10,7 @@ from benchmarks import common  # isort: skip  (one thread, before numpy)
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.slip.run import HARMONIC, STARTS, fit, mechanism, read
+from benchmarks.slip.run import HARMONIC, by_start, fit, mechanism, read, thinned
 
 ASSETS = common.PROJECT / "docs" / "pages" / "assets"
 MODELS = {"backlash": "C0", "self_energising": "C3"}
@@ -20,16 +20,9 @@ STYLE = {"figure.constrained_layout.use": True, "axes.spines.top": False, "font.
 STYLE |= {"axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.3, "savefig.dpi": 120}
 
 
-def by_start(force, coordinates, offset, record):
-    """Force for each of STARTS, (SAMPLES, starts), and which fits best."""
-    rows = np.tile(coordinates, (STARTS.size, 1))
-    f = force.force(rows, [record] * STARTS.size, STARTS) + offset
-    return f, int(np.argmin(np.square(f - record[2][:, None]).mean(axis=0)))
-
-
 def main():
     options = common.begin(common.parser_of(__doc__, data=True))
-    records = read(options.data)
+    records = thinned(read(options.data))
     fits = {}
     for name in MODELS:
         force, rng = mechanism(name), np.random.default_rng(options.seed)
@@ -41,18 +34,18 @@ def main():
         t, _, measured = records[key]
         axis.plot(t, measured, "k", lw=0.8, label="measured")
         for name, colour in MODELS.items():
-            f, best = by_start(*fits[name], records[key])
-            axis.plot(t, f[:, best], colour, lw=1.1, label=name)
+            f, error = by_start(*fits[name], records[key])
+            axis.plot(t, f[:, np.argmin(error)], colour, lw=1.1, label=name)
         axis.set(xlim=span, xlabel="time, s", title=key.split("_")[1].replace("Hz", " Hz"))
     axes[0].set_ylabel("force, kip")
     axes[0].legend(fontsize=8)
     figure.savefig(ASSETS / "slip-closing.png")
     t, _, measured = records[QUAKE]
-    f, best = by_start(*fits["backlash"], records[QUAKE])
+    f, error = by_start(*fits["backlash"], records[QUAKE])
     figure, axis = plt.subplots(figsize=(7.5, 3.0))
     axis.fill_between(t, f.min(axis=1), f.max(axis=1), color="C0", alpha=0.2, label="any start")
     axis.plot(t, measured, "k", lw=0.8, label="measured")
-    axis.plot(t, f[:, best], "C0", lw=1.1, label="backlash, its start fitted")
+    axis.plot(t, f[:, np.argmin(error)], "C0", lw=1.1, label="backlash, its start fitted")
     axis.set(xlim=SHOWN, xlabel="time, s", ylabel="force, kip")
     axis.legend(fontsize=8)
     figure.savefig(ASSETS / "slip-start.png")

@@ -59,18 +59,14 @@ def spring(c, z):
 class Mechanism(mb.Model):
     """What all have in common; one of them gives `parameters` and `slide`."""
 
-    parameters = SPRING
-    name = "fixed_limit"
     has_gap = True
 
     def excess(self, c, state, slip_speed, h):
         """Excess of static friction over kinetic, as a share of its largest."""
-        return np.exp(-np.square(slip_speed / c["v_0"])) if "v_0" in c else 1.0
+        return np.exp(-np.square(slip_speed / c["v_0"]))
 
     def limits(self, c, state, velocity, h):
         """Slip forces forward and backward, (n,) each, kip."""
-        if "e_f" not in c:
-            return c["F_f"], c["F_b"]
         share = self.excess(c, state, velocity, h)
         return c["F_f"] * (1 + c["e_f"] * share), c["F_b"] * (1 + c["e_b"] * share)
 

@@ -61,22 +61,29 @@ THIRTY = ["0.25Hz_0.5in", "0.25Hz_1.5in", "0.50Hz_0.5in", "0.50Hz_1.0in", "0.50H
 THIRTY = [f"30lb_{name}" for name in (*THIRTY, "1.00Hz_1.0in")]
 
 
-def read(data, samples=SAMPLES):
-    """Time, displacement and force of the records by id, s, in and kip; all samples if None."""
+def read(data):
+    """Time, displacement and force of the records by id, s, in and kip, with all their samples."""
     records = {}
     for row in common.listed(data):
         if row["kind"] == "semi-active" or row["tension_lbf"] == "0":
             continue
         table = pd.read_csv(data / "brfd" / row["file"])
-        pick = np.linspace(0, len(table) - 1, samples or len(table)).round().astype(int)
-        t, x, f = table.iloc[pick, :3].to_numpy().T.copy()
+        t, x, f = table.iloc[:, :3].to_numpy().T.copy()
         if row["id"].endswith("_SI"):
             x, f = x * convert("m", "in"), f * convert("N", "kip")
         records[row["id"]] = t, x, f
     return records
 
 
-class Mechanism:
+def thinned(records):
+    """The records with `SAMPLES` of their samples."""
+    picks = {
+        k: np.linspace(0, r[0].size - 1, SAMPLES).round().astype(int) for k, r in records.items()
+    }
+    return {k: tuple(column[picks[k]] for column in r) for k, r in records.items()}
+
+
+class Batch:
     """Force of one model for vectors of coordinates, each on a record of its own."""
 
     def __init__(self, model, names):
@@ -118,7 +125,7 @@ NAMES = ("three_stage", "backlash", *MODELS)
 def mechanism(name):
     """One of NAMES."""
     model = MODELS[name]() if name in MODELS else find_model(name)
-    return Mechanism(model, tuple(model.parameters))
+    return Batch(model, tuple(model.parameters))
 
 
 def fit(force, records, first, rng, free=None):
@@ -165,12 +172,17 @@ def fit(force, records, first, rng, free=None):
     return whole(best.x)
 
 
-def shown(force, coordinates, offset, record):
-    """RRSE with the start fitted and unknown, peaks forward and backward, energy, on a record."""
+def by_start(force, coordinates, offset, record):
+    """Force for each of STARTS on a record, (SAMPLES, starts), and the RRSE of each."""
     rows = np.tile(coordinates, (STARTS.size, 1))
     f = force.force(rows, [record] * STARTS.size, STARTS) + offset
+    return f, np.sqrt(np.square(f - record[2][:, None]).mean(axis=0)) / record[2].std()
+
+
+def shown(force, coordinates, offset, record):
+    """RRSE with the start fitted and unknown, peaks forward and backward, energy, on a record."""
+    f, error = by_start(force, coordinates, offset, record)
     _, x, measured = record
-    error = np.sqrt(np.square(f - measured[:, None]).mean(axis=0)) / measured.std()
     best = f[:, np.nanargmin(error)]
     peaks = np.quantile(best, (0.999, 0.001)) / np.quantile(measured, (0.999, 0.001))
     energy = np.trapezoid(best, x) / np.trapezoid(measured, x)
@@ -207,12 +219,15 @@ GROUPS = {
         "30 lb": THIRTY,
     },
 }
-LEFT_OUT = ("1 Hz", "Imperial Valley", "Kocaeli", "2022, 1 Hz", "30 lb")
+LEFT_OUT = {"1 Hz": "to 0.5 Hz"} | dict.fromkeys(
+    ("Imperial Valley", "Kocaeli", "2022, 1 Hz", "30 lb"), "harmonic"
+)
+"""Groups of records that were left out of a fit, and of which."""
 
 
 def main():
     options = common.begin(common.parser_of(__doc__, data=True, jobs=2))
-    records = read(options.data)
+    records = thinned(read(options.data))
     names = ("three_stage", "backlash", "self_energising") if options.quick else NAMES
     labels = ("fast",) if options.quick else tuple(FITS)
     tasks = [(name, label, records, options.seed) for label in labels for name in names]
@@ -228,13 +243,11 @@ def main():
                 print(f"{name:16} {mean[0]:5.3f} {mean[1]:14.3f} {mean[2]:10.2f} "
                       f"{mean[3]:10.2f} {mean[4]:8.2f}")  # fmt: skip
     if not options.quick:
-        summary = {group: ("harmonic", GROUPS["harmonic"][group]) for group in LEFT_OUT[1:]}
-        summary = {LEFT_OUT[0]: ("to 0.5 Hz", GROUPS["to 0.5 Hz"]["1 Hz"])} | summary
-        print("\nRRSE left out   " + "".join(f"{group:>16}" for group in summary))
+        print("\nRRSE left out   " + "".join(f"{group:>16}" for group in LEFT_OUT))
         for name in names:
             means = [
-                np.mean([results[name, label][0][key][0] for key in keys])
-                for label, keys in summary.values()
+                np.mean([results[name, label][0][key][0] for key in GROUPS[label][group]])
+                for group, label in LEFT_OUT.items()
             ]
             print(f"    {name:16}" + "".join(f"{mean:12.3f}    " for mean in means))
     print()

@@ -330,8 +330,8 @@ def test_the_damped_example_agrees_with_an_ode_solver_and_steps_as_it_goes():
     theta = np.array([SELF_ENERGISING])
     force = model.force(theta, trace, 0.3)[0, 1:]  # the first sample has no step before it
     assert np.max(np.abs(force - exact(trace, SELF_ENERGISING, 0.3)[1:])) < 0.02
-    undamped = [*SELF_ENERGISING[:7], 0.05, *SELF_ENERGISING[8:]]  # the control: half as much
-    assert np.max(np.abs(force - exact(trace, undamped, 0.3)[1:])) > 0.1
+    halved = [*SELF_ENERGISING[:7], 0.05, *SELF_ENERGISING[8:]]  # the control: half of the damping
+    assert np.max(np.abs(force - exact(trace, halved, 0.3)[1:])) > 0.1
     low, high = -0.125 - 2.5 / 50.0, 0.125 + 3.0 / 60.0
     force = model.force(theta, trace, -low / (high - low))[0]  # from the middle, as a step does
     state, steps = model.start(theta, reference_actuation=1.0), []
