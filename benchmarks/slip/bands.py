@@ -6,7 +6,7 @@ calibrates the tests of 36 lbf at effort "quick" with `SelfEnergising` as a mode
 compiled (compiled.py) once it has been compared with that of mechanisms.py, and scores what was
 left out as `benchmarks.heldout.run --kinds` does, whose table has `three_stage`, and with --model
 backlash `backlash`. A model of the user's own is not thinned unless a rate is given: 128 Hz here.
-A quarter of an hour of two cores.
+Half an hour of two cores.
 """
 
 from benchmarks import common  # isort: skip  (one thread, before numpy)
