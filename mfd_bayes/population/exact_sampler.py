@@ -39,7 +39,6 @@ from mfd_bayes.calibration.proposal import Proposal, fit_mixture, fit_proposal
 from mfd_bayes.jobs.local import Evaluate, in_turn
 from mfd_bayes.population.joint_fit import Array, Index, JointFit
 from mfd_bayes.population.mixed_model import (
-    LARGEST,
     MixedModel,
     StudentTProposal,
     backward,
@@ -60,7 +59,6 @@ ACCEPT_Z = 0.2  # the same of z
 MOVES = (0.3, 0.35, 0.35)
 FULL = 0.15  # share of the differences of draws that are taken as they are: from mode to mode
 COMPONENTS = 4  # of the mixture
-RANDOM_WALK = 0.6  # sd of the random walk of the coordinates of h
 
 
 class ChainState(NamedTuple):
@@ -104,13 +102,6 @@ class ExactSampler:
         local[mixed.free] = True
         self.local = np.flatnonzero(local)
         self.beta, self.beta_z = np.full(len(fit.mean), 0.8), 0.8  # step sizes
-        # of each coordinate of h that tests know: its number, kind, and quantity or effect
-        v, free = mixed.f + mixed.e, mixed.free.tolist()
-        owners = [(shape, mixed.design.names.index(name)) for name, shape in mixed.design.shapes]
-        self.blocks = [(i, "scatter", i) for i in range(v)]
-        self.blocks += [
-            (v + i, shape, free.index(k)) for i, (shape, k) in enumerate(owners) if k in free
-        ]
         # while warming up: proposals x, their excess, and the share of it that each test accepts
         self.proposals: list[tuple[Array, Array, Array]] = []
         self.warming_up = True
@@ -136,10 +127,6 @@ class ExactSampler:
         """Levels, slopes and effects of the tests, (n, J, d)."""
         return self.mixed.design.linear(z, self.mixed.rows)
 
-    def _sd(self, h: Array) -> Array:
-        """Scatter of the free quantities of the tests, (n, J, F)."""
-        return self.mixed.tau(h)[:, None] / np.sqrt(self.mixed.weight)
-
     def _conditional(self, h: Array, z: Array) -> tuple[Array, Array]:
         """Mean (n, J, D) of the tests given the population, and factor of the local precision.
 
@@ -149,7 +136,7 @@ class ExactSampler:
         mean[..., : self.d] = self.mixed.offsets(h, self.choice) + self._linear(z)
         mean = np.where(self.unpooled, 0.0, mean)
         sd = np.ones((len(h), len(self.unpooled), local.size))
-        sd[..., np.searchsorted(local, self.mixed.free)] = self._sd(h)
+        sd[..., np.searchsorted(local, self.mixed.free)] = self.mixed.sd(h)
         sd = np.where(self.unpooled[:, local], 1.0, sd)
         p = self.fit.precision[:, local]
         inner = p[:, :, local] + sd[..., None] ** -2.0 * np.eye(local.size)
@@ -304,48 +291,11 @@ class ExactSampler:
         self.state = self.state._replace(excess=self._excess(self.state.x))
 
     def _move_h(self) -> None:
-        """Random-walk Metropolis of the coordinates of h with z and x as they are, then z.
-
-        Given z and x, what belongs to different quantities and effects is independent: scatters
-        are moved side by side, and so are shares and exponents.
-        """
-        mixed, s, rng = self.mixed, self.state, self.rng
-        h, without_law = s.h.copy(), s.x[..., : self.d] - self._linear(s.z)
-        log = self._log_given_tests(h, s.z, without_law)
-        for kind, step in (("scatter", 1.0), ("share", 0.3), ("exponent", 0.3)):
-            columns = np.array([i for i, k, _ in self.blocks if k == kind], dtype=np.intp)
-            if not columns.size:
-                continue
-            block = [b for _, k, b in self.blocks if k == kind]
-            moved = h.copy()
-            moved[:, columns] += step * RANDOM_WALK * rng.standard_normal((len(h), columns.size))
-            log_moved = self._log_given_tests(moved, s.z, without_law)
-            accepted = np.log(rng.random((len(h), columns.size))) < (log_moved - log)[:, block]
-            h[:, columns] = np.where(accepted, moved[:, columns], h[:, columns])
-            log[:, block] = np.where(accepted, log_moved[:, block], log[:, block])
-        residual = s.x[..., : self.d] - mixed.offsets(h, self.choice)
-        pooled = mixed.weight * ~self.unpooled[:, mixed.free]
-        z = mixed.draw_given_tests(h, residual, pooled, s.z, rng)
+        """Move h given z and the tests, then z."""
+        s, pooled = self.state, ~self.unpooled[:, self.mixed.free]
+        x = s.x[..., : self.d]
+        h, z = self.mixed.move_given_tests(s.h, s.z, x, pooled, self.choice, self.rng)
         self.state = s._replace(h=h, z=z)
-
-    def _log_given_tests(self, h: Array, z: Array, without_law: Array) -> Array:
-        """Log density of h given z and the tests' coordinates, of each block, (n, F + E)."""
-        mixed, free, sd = self.mixed, self.mixed.free, self._sd(h)
-        distance = (without_law - mixed.offsets(h, self.choice))[..., free]
-        terms = np.where(self.unpooled[:, free], 0.0, -0.5 * (distance / sd) ** 2 - np.log(sd))
-        log = np.zeros((len(h), mixed.f + mixed.e))
-        log[:, : mixed.f] = terms.sum(axis=1)
-        prior = np.where(np.abs(h) < LARGEST, mixed.log_prior(h), -np.inf)
-        for i, _, block in self.blocks:
-            log[:, block] += prior[:, i]
-        omega = mixed.omega(h)
-        for e, precision in enumerate(mixed.effect_precision):
-            u = z[:, mixed.design.columns(e)]
-            squares = np.sum((u @ precision) * u, axis=(1, 2))
-            log[:, mixed.f + e] -= (
-                u[0].size * np.log(omega[:, e]) + 0.5 * squares / omega[:, e] ** 2
-            )
-        return log
 
     def run(
         self,

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 from threadpoolctl import threadpool_limits
 
 from mfd_bayes.calibration.diagnostics import Convergence, intervals_of
@@ -37,7 +38,7 @@ from mfd_bayes.population.design import (
     usual_shapes,
     varies,
 )
-from mfd_bayes.population.exact_sampler import CHAINS, ExactSampler
+from mfd_bayes.population.exact_sampler import CHAINS, ExactSampler, PopulationDraws
 from mfd_bayes.population.joint_fit import (
     STEADY,
     Array,
@@ -65,7 +66,8 @@ from mfd_bayes.population.population import (
 )
 from mfd_bayes.records.trace import Trace
 
-ALTERNATIVES = 400  # draws under all laws together, for actuations beyond the tested levels
+# draws under all laws together, for actuations beyond the tested levels, and steps of their chains
+ALTERNATIVES, SETTLING = 400, 30
 # largest number of sweeps of the exact sampler
 SWEEPS = {"quick": 800, "standard": 4000, "thorough": 20000}
 # with more tests than this there are fewer chains: laws and variances are then known well
@@ -194,7 +196,6 @@ def _inferred(
     knots += fit.residual.mean
     levels = np.zeros_like(draws.z)
     levels[..., :d] = moved[..., :d].mean(axis=2)
-    draws = draws._replace(x=draws.x + moved, z=draws.z + levels)
     shape, v = draws.h.shape[:2], mixed.f + mixed.e
     laws = np.repeat(choice.reshape(CHAINS, walkers, -1), shape[1] // walkers, axis=1)
     shapes = mixed.shapes(
@@ -204,8 +205,10 @@ def _inferred(
     posterior = likelihoods[0].posterior
     slips = [n for n in design.laws if n not in {"sigma0"} & posterior.model.standard_names]
     alternatives, alternative_weight = _alternatives(
-        mixed, slips, weights, gaussians, knots.reshape(-1, knots.shape[-1]), rng
+        *(sampler.mixed, ~unpooled[:, mixed.free], slips, weights, gaussians),
+        *(draws, levels, knots, rng),
     )
+    draws = draws._replace(x=draws.x + moved, z=draws.z + levels)
     prior_of = dict(posterior.priors)
     if posterior.model.has_gap and "start" in priors.parameters:
         prior_of.setdefault("start", priors.parameters["start"])
@@ -314,17 +317,21 @@ def _choices(design: Design, weights: Mapping[str, Mapping[str, float]], n: int)
 
 def _alternatives(
     mixed: MixedModel,
+    pooled: NDArray[np.bool_],
     slips: Sequence[str],
     weights: Mapping[str, Mapping[str, float]],
     gaussians: TestGaussians,
+    draws: PopulationDraws,
+    moved: Array,
     knots: Array,
     rng: np.random.Generator,
 ) -> tuple[LawDraws, Array]:
     """Draws under all laws, for actuations beyond the tested levels, and their weights.
 
-    Draws of the discrepancy at its `knots` (m, K) are taken as they come.
+    The tests are those of `draws`, whose levels a discrepancy with these `knots` has `moved`. h and
+    z are drawn with Gaussian likelihoods, and then moved to what the tests say.
     """
-    design = mixed.design
+    design, d = mixed.design, len(mixed.design.names)
     several_levels = len(levels_of([s for s in design.settings if s.actuation > 0])) >= LEVELS
     considered = design.considered(COMPARE) if several_levels else ("affine", "power")
     named = [design.laws[n] for n in slips if design.laws[n] != COMPARE]
@@ -336,7 +343,9 @@ def _alternatives(
     sizes = {law: design_of_law.quantity.size for law, design_of_law in laws.items()}
     size = design.quantity.size if design.quantity.size in sizes.values() else max(sizes.values())
     usable = [law for law in laws if sizes[law] == size]
-    draws, weight = [], []
+    common = np.flatnonzero(design.common)
+    rows = [a.reshape(-1, *a.shape[2:]) for a in (draws.x, draws.z, moved, knots)]
+    of_laws, weight = [], []
     for law, w in zip(usable, extrapolation_weights(gaussians, slips, usable), strict=True):
         if w == 0.0:
             continue
@@ -344,17 +353,20 @@ def _alternatives(
         mixed_model = MixedModel(design_of_law, mixed.y, mixed.p, mixed.weight)
         choice = _choices(design_of_law, {**weights, **{n: {law: 1.0} for n in slips}}, 1)[0]
         n = max(int(np.ceil(ALTERNATIVES * w)), 20)
-        mode, root = mixed_model.laplace(choice)
-        h = mixed_model.from_standard_normal(
-            mode + rng.standard_normal((n, mixed_model.dim)) @ root.T
-        )
+        _, g, log = mixed_model.importance_sample(choice, rng, 2 * ALTERNATIVES)
+        h = mixed_model.from_standard_normal(rng.choice(g, n, p=special.softmax(log)))
         blocks = np.array_split(h, max(n // 32, 1))  # to bound the memory
         z = np.concatenate([mixed_model.marginal(block, choice)[1].draw(rng) for block in blocks])
+        index = rng.choice(len(rows[0]), n)
+        x, z_of_draw, moved_of_draw, knots_of_draw = (a[index] for a in rows)
+        z[:, common] = z_of_draw[:, common]
+        for _ in range(SETTLING):
+            h, z = mixed_model.move_given_tests(h, z, x[..., :d], pooled, choice, rng)
+        z[:, :d] += moved_of_draw[:, :d]
         shapes = mixed_model.shapes(h, choice)
-        of_law = h[:, : mixed_model.f + mixed_model.e], z, *shapes, rng.choice(knots, size=n)
-        draws.append(of_law)
+        of_laws.append((h[:, : mixed_model.f + mixed_model.e], z, *shapes, knots_of_draw))
         weight.append(np.full(n, w / n))
-    return LawDraws(*map(np.concatenate, zip(*draws, strict=True))), np.concatenate(weight)
+    return LawDraws(*map(np.concatenate, zip(*of_laws, strict=True))), np.concatenate(weight)
 
 
 def _starts(

@@ -47,12 +47,13 @@ LARGEST = 12.0  # largest size of a coordinate of h
 COVARIATES = ("velocity", "amplitude")  # that a quantity may follow besides the actuation
 # probability that a quantity of a test is an outlier, and the scatter of outliers over others'
 OUTLIER, WIDER = 0.01, 10.0
-# points of an importance sample of h, the effective number that is enough, and most rounds: of the
-# first sample, and of those of other Gaussian likelihoods near it
-POINTS, ENOUGH, ADAPTATIONS, ADAPTED = 3000, 1000, 6, 2
+# points of an importance sample of h, the share of them in its effective number that is enough, and
+# most rounds: of the first sample, and of those of other Gaussian likelihoods near it
+POINTS, ENOUGH, ADAPTATIONS, ADAPTED = 3000, 1.0 / 3.0, 6, 2
 # degrees of freedom of the points, and their scale over that of the density that they are for
 FREEDOM, SCALE = 7, 1.1
 FARTHEST = 7.0  # largest standard normal number of the mode of h
+RANDOM_WALK = 0.6  # sd of the random walk of the coordinates of h
 ROUNDS = 4  # largest number of rounds of expectation-maximisation of outliers
 
 
@@ -122,6 +123,13 @@ class MixedModel:
         self.dim = self.f + self.e + len(design.shapes)
         self.scale = np.concatenate([design.scatter_sd[self.free], [e.scale for e in effects]])
         self.weight = np.ones((len(y), self.f)) if weight is None else weight
+        # of each coordinate of h that tests know: its number, kind, and quantity or effect
+        owners = [(shape, design.names.index(name)) for name, shape in design.shapes]
+        v, free = self.f + self.e, self.free.tolist()
+        self.blocks = [(i, "scatter", i) for i in range(v)]
+        self.blocks += [
+            (v + i, shape, free.index(k)) for i, (shape, k) in enumerate(owners) if k in free
+        ]
         self.rows = np.stack([design.row(s) for s in design.settings])
         self.actuation = np.array([s.actuation for s in design.settings])
         # mean and covariance of the numbers of h by the choice of laws, once they were drawn
@@ -142,6 +150,10 @@ class MixedModel:
     def tau(self, h: Array) -> Array:
         """Scatter of the free quantities in prior units, (n, F)."""
         return np.exp(h[:, : self.f]) / self.design.spread[self.free]
+
+    def sd(self, h: Array) -> Array:
+        """The same of each test, with its weight, (n, J, F)."""
+        return np.asarray(self.tau(h)[:, None] / np.sqrt(self.weight))
 
     def omega(self, h: Array) -> Array:
         """Sd of the effects, natural units, (n, E)."""
@@ -245,15 +257,71 @@ class MixedModel:
                 )
         return a
 
-    def draw_given_tests(
-        self, h: Array, residual: Array, weight: Array, z: Array, rng: np.random.Generator
-    ) -> Array:
-        """Draw z (n, Z) of the free quantities given the tests' coordinates less laws (n, J, d).
+    def move_given_tests(
+        self,
+        h: Array,
+        z: Array,
+        x: Array,
+        pooled: NDArray[np.bool_],
+        choice: Index,
+        rng: np.random.Generator,
+    ) -> tuple[Array, Array]:
+        """Move h and the free quantities' z by a Markov chain given the tests x (n, J, d).
 
-        `weight` (J, F) are those of the deviations' precision, 0 where a test informs nothing.
+        Random-walk Metropolis of h, then z from its Gaussian (Gibbs). Given z and x, what belongs
+        to different quantities and effects is independent: scatters are moved side by side, and so
+        are shares and exponents. `pooled` (J, F) are the quantities of tests that follow h and z.
         """
+        h, without_law = h.copy(), x - self.design.linear(z, self.rows)
+        log = self._log_given_tests(h, z, without_law, pooled, choice)
+        for kind, step in (("scatter", 1.0), ("share", 0.3), ("exponent", 0.3)):
+            columns = np.array([i for i, k, _ in self.blocks if k == kind], dtype=np.intp)
+            if not columns.size:
+                continue
+            block = [b for _, k, b in self.blocks if k == kind]
+            moved = h.copy()
+            moved[:, columns] += step * RANDOM_WALK * rng.standard_normal((len(h), columns.size))
+            log_moved = self._log_given_tests(moved, z, without_law, pooled, choice)
+            accepted = np.log(rng.random((len(h), columns.size))) < (log_moved - log)[:, block]
+            h[:, columns] = np.where(accepted, moved[:, columns], h[:, columns])
+            log[:, block] = np.where(accepted, log_moved[:, block], log[:, block])
+        return h, self._draw_given_tests(h, x - self.offsets(h, choice), pooled, z, rng)
+
+    def _log_given_tests(
+        self,
+        h: Array,
+        z: Array,
+        without_law: Array,
+        pooled: NDArray[np.bool_],
+        choice: Index,
+    ) -> Array:
+        """Log density of h given z and the tests' coordinates, of each block, (n, F + E)."""
+        sd = self.sd(h)
+        distance = (without_law - self.offsets(h, choice))[..., self.free]
+        terms = np.where(pooled, -0.5 * (distance / sd) ** 2 - np.log(sd), 0.0)
+        log = np.zeros((len(h), self.f + self.e))
+        log[:, : self.f] = terms.sum(axis=1)
+        prior = np.where(np.abs(h) < LARGEST, self.log_prior(h), -np.inf)
+        for i, _, block in self.blocks:
+            log[:, block] += prior[:, i]
+        omega = self.omega(h)
+        for e, precision in enumerate(self.effect_precision):
+            u = z[:, self.design.columns(e)]
+            squares = np.sum((u @ precision) * u, axis=(1, 2))
+            log[:, self.f + e] -= u[0].size * np.log(omega[:, e]) + 0.5 * squares / omega[:, e] ** 2
+        return log
+
+    def _draw_given_tests(
+        self,
+        h: Array,
+        residual: Array,
+        pooled: NDArray[np.bool_],
+        z: Array,
+        rng: np.random.Generator,
+    ) -> Array:
+        """Draw z (n, Z) of the free quantities given the tests' coordinates less laws (n, J, d)."""
         z, a, quantity = z.copy(), self.prior_precision(h), self.design.quantity
-        precision = weight / self.tau(h)[:, None] ** 2
+        precision = pooled * self.weight / self.tau(h)[:, None] ** 2
         for f, k in enumerate(self.free):  # given the tests these do not know of each other
             columns = np.flatnonzero(quantity == k)
             weighted = self.rows[:, columns].T * precision[:, None, :, f]
@@ -327,7 +395,7 @@ class MixedModel:
         return mode, vectors / np.sqrt(np.maximum(values, 0.5))
 
     def importance_sample(
-        self, choice: Index, rng: np.random.Generator
+        self, choice: Index, rng: np.random.Generator, n: int = POINTS
     ) -> tuple[StudentTProposal, Array, Array]:
         """Student t near the posterior of the numbers; points of it (n, dim), log weights (n,).
 
@@ -342,11 +410,11 @@ class MixedModel:
         mean, covariance = self.adapted[laws]
         for _ in range(rounds):
             density = StudentTProposal(mean, SCALE * np.asarray(np.linalg.cholesky(covariance)))
-            g = density.draw(rng, POINTS)
+            g = density.draw(rng, n)
             log = self.log_numbers(g, choice) - density.log_density(g)
             weight = special.softmax(log)
             size = 1.0 / np.sum(weight**2)
-            if size >= ENOUGH:
+            if size >= ENOUGH * n:
                 break
             before = 2.0 * self.dim  # points that what is known already counts for
             centre = weight @ g

@@ -102,6 +102,29 @@ def test_tests_without_actuation_inform_a_law_with_an_intercept_alone(priors):
     assert informs.tolist() == [False, True]
 
 
+def test_beyond_the_levels_what_tests_share_is_as_they_say(priors, monkeypatch):
+    """Gaussian likelihoods are off by 0.6 sd in σ1: these posteriors are bent."""
+    monkeypatch.setattr("mfd_bayes.population.inference.ALTERNATIVES", 2000)
+    population = infer(priors, made_tests(priors, "lugre", (1.0, 1.0))).population
+    common = np.flatnonzero(population.design.common)
+    of_tests = population.draws.z[..., common].reshape(-1, common.size)
+    beyond = population.alternatives.z[:, common]
+    off = np.abs(np.median(beyond, axis=0) - np.median(of_tests, axis=0)) / of_tests.std(axis=0)
+    se = 1.25 / np.sqrt(len(beyond))  # of the median of so many that are taken again
+    assert off.max() < 4.0 * se
+    assert beyond.std(axis=0) == pytest.approx(of_tests.std(axis=0), rel=4.0 / np.sqrt(len(beyond)))
+
+
+def test_beyond_the_levels_a_law_is_as_wide_as_between_them(priors, monkeypatch):
+    monkeypatch.setattr("mfd_bayes.population.inference.ALTERNATIVES", 2000)
+    population = infer(priors, made_tests(priors, "lugre", LEVELS)).population
+    weight, shares = population.alternative_weight, population.shapes("Fc_fwd")[0]
+    # those under the affine law, which come first
+    beyond = population.alternatives.share[np.isclose(weight, weight[0], rtol=1e-9), 0]
+    assert beyond.std() == pytest.approx(shares.std(), rel=0.25)
+    assert np.median(beyond) == pytest.approx(np.median(shares), abs=0.25 * shares.std())
+
+
 # --- what parameters are confounded with
 
 
