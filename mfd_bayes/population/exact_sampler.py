@@ -51,7 +51,7 @@ STORED = 2**26  # most numbers of the tests' coordinates that are held
 # quarter is forgotten, and kept sweeps before the first look at the convergence
 REFITS, WARM_UP, FIRST = 3, 20, 40
 LOOK = 1.4  # least growth of the kept sweeps from look to look
-RIDGE = 3.0  # of the least squares, for the few draws of a large campaign
+RIDGE = 3.0  # of the least squares, for a direction that few draws show
 LEAST = 1e-3  # least precision of a test over that of its posterior, in any direction
 ACCEPT = 0.3  # share of moves of the tests that is to be accepted
 ACCEPT_Z = 0.2  # the same of z

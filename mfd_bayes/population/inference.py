@@ -70,9 +70,8 @@ from mfd_bayes.records.trace import Trace
 ALTERNATIVES, SETTLING = 400, 30
 # largest number of sweeps of the exact sampler
 SWEEPS = {"quick": 800, "standard": 4000, "thorough": 20000}
-# with more tests than this there are fewer chains: laws and variances are then known well
-MANY = 60
-WALKERS, FEW_WALKERS = 16, 4  # chains of each group, and with many tests
+# chains of each group; with fewer the Gaussians of the tests have too few draws to be fitted to
+WALKERS = 16
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19)
 
 
@@ -164,8 +163,7 @@ def _inferred(
     weights = {name: _weights(design, name, scores) for name in design.laws}
 
     # chains of the exact posterior, each under laws drawn by their weights
-    walkers = WALKERS if len(likelihoods) <= MANY else FEW_WALKERS
-    choice = _choices(design, weights, CHAINS * walkers)
+    choice = _choices(design, weights, CHAINS * WALKERS)
     mixed.find_outliers(choice[0])
     kinds, kind = np.unique(choice, axis=0, return_inverse=True)
 
@@ -197,7 +195,7 @@ def _inferred(
     levels = np.zeros_like(draws.z)
     levels[..., :d] = moved[..., :d].mean(axis=2)
     shape, v = draws.h.shape[:2], mixed.f + mixed.e
-    laws = np.repeat(choice.reshape(CHAINS, walkers, -1), shape[1] // walkers, axis=1)
+    laws = np.repeat(choice.reshape(CHAINS, WALKERS, -1), shape[1] // WALKERS, axis=1)
     shapes = mixed.shapes(
         draws.h.reshape(-1, mixed.dim), laws.reshape(draws.h[..., 0].size, len(design.laws))
     )
@@ -223,7 +221,7 @@ def _inferred(
         starts=_starts(prior_of.get("start"), likelihoods, draws.x),
         priors=prior_of,
         actuation_unit=settings.actuation_unit,
-        walkers=walkers,
+        walkers=WALKERS,
         convergence=draws.convergence,
     )
     exponents, dependence = free_exponents(gaussians), compare_dependence(gaussians)
