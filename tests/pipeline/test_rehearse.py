@@ -283,16 +283,16 @@ def test_a_killed_command_goes_on_to_the_same_bits(out, tmp_path, without_figure
         (tmp_path / name / "disk").mkdir(parents=True)
         folders[name] = shutil.copytree(out, tmp_path / name / "disk" / "out")
     words = (*without_figures, "rehearse")
-    with Process(folders["whole"], *words, folders["whole"], "--runs", 3, "--jobs", 2) as command:
+    with Process(folders["whole"], *words, folders["whole"], "--runs", 2, "--jobs", 2) as command:
         code, complaint = command.end()
     assert (code in (0, 1), complaint) == (True, "")
     folder = folders["killed"]
-    with Process(folder, *words, folder, "--runs", 3, "--jobs", 1) as command:
+    with Process(folder, *words, folder, "--runs", 2, "--jobs", 1) as command:
         assert command.until(lambda: command.says("rehearsal 2: "))
         command.process.kill()
         command.end()
     assert sorted(path.name for path in (folder / "rehearsal").iterdir()) == ["run_001.json"]
-    with Process(folder, *words, folder, "--runs", 3, "--jobs", 1) as command:
+    with Process(folder, *words, folder, "--runs", 2, "--jobs", 1) as command:
         assert command.end()[0] == code
         assert command.says("rehearsal 1: done before")
     for path in (*folder.glob("rehearsal/*"), *(folder / name for name in REHEARSED)):
