@@ -70,7 +70,7 @@ from mfd_bayes.records.trace import Trace
 ALTERNATIVES, SETTLING = 400, 30
 # largest number of sweeps of the exact sampler
 SWEEPS = {"quick": 800, "standard": 4000, "thorough": 20000}
-# chains of each group; with fewer the Gaussians of the tests have too few draws to be fitted to
+# chains of each group: a quarter of them gave too few draws to fit the tests' Gaussians to
 WALKERS = 16
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19)
 
