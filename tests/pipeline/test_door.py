@@ -31,6 +31,7 @@ def test_calibrate_and_demo_refuse_what_the_commands_refuse(campaign, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
 def test_calibrate_gives_the_run_that_it_writes(campaign, tmp_path):
     text = campaign.read_text("utf-8").split("[[test]]")
     campaign.write_text("[[test]]".join(text[:4]), "utf-8")

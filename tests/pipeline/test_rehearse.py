@@ -69,6 +69,15 @@ def test_even_ranks_pass_and_others_are_said_to_deviate_as_they_do():
         assert "bounds of the data sheet are not right" in summary.verdict
 
 
+def test_what_deviates_of_the_parameters_is_named_with_its_fault():
+    even = (np.arange(RUNS) + 0.5) / RUNS
+    narrow = np.where(even < 0.5, 0.2 * even, 0.8 + 0.2 * even)
+    results = results_of(np.column_stack([narrow, even]), of=ALONE, quantity="Fc_fwd")
+    assert RehearsalSummary([*results, *results_of(even[:, None])]).parameters == [
+        "Of tests, each by itself, 2 quantities: Fc_fwd too narrow in 1 test."
+    ]
+
+
 def test_a_small_p_value_among_many_quantities_is_chance_and_alone_it_is_not():
     even = (np.arange(RUNS) + 0.5) / RUNS
     uneven = even**1.8
@@ -242,11 +251,24 @@ def smallest(summary):
     return summary.table.groupby("of")["p_family"].min()
 
 
+def share_held(summary):
+    """Share of 80 % intervals of a test by itself that hold the truth, of what its noise blurs."""
+    rows = summary.table[summary.table["of"] == ALONE]
+    rows = rows[rows["quantity"].isin(["Fc_fwd", "Fc_bwd", "sigma2", "offset"])]
+    return rows["held_80"].sum() / rows["runs"].sum()
+
+
+# Expected are 0.8. The share was 0.78 of 12 right calibrations, and 0.38 of 24 that take correlated
+# noise for independent. That of six, or five, scatters by 0.07. It is judged in the middle.
+SHARE = 0.6
+
+
 @pytest.mark.slow
 def test_a_right_calibration_passes(run, tmp_path):
-    p_values = smallest(rehearsed(run, tmp_path / "right", 14))
+    summary = rehearsed(run, tmp_path / "right", 6)
     # what scatters between three tests follows its prior, which counts twice
-    assert p_values.drop(SCATTERS).min() > 0.05
+    assert smallest(summary).drop(SCATTERS).min() > 0.05
+    assert share_held(summary) > SHARE
 
 
 @pytest.mark.slow
@@ -255,11 +277,10 @@ def test_noise_that_is_taken_for_independent_is_seen(run, tmp_path):
     settings = run.manifest.settings
     campaign = settings.campaign.model_copy(update={"noise": "iid"})
     manifest = run.manifest.changed(settings=settings.model_copy(update={"campaign": campaign}))
-    summary = rehearsed(run, tmp_path / "iid", 14, replace(run, manifest=manifest))
-    p_values = smallest(summary)
-    assert p_values[ALONE] < 0.01
-    assert "Fc_fwd too narrow" in " ".join(summary.parameters)
+    summary = rehearsed(run, tmp_path / "iid", 5, replace(run, manifest=manifest))
+    assert share_held(summary) < SHARE
     # what the tests have in common learns the correlation itself, whatever they assume alone
+    p_values = smallest(summary)
     assert min(p_values[ANOTHER_TEST], p_values[MEAN], p_values[POOLED]) > 0.05
 
 
@@ -272,7 +293,7 @@ def test_priors_ten_times_too_narrow_are_seen(run, tmp_path):
         for name, p in run.priors.parameters.items()
     }
     variant = replace(run, priors=replace(run.priors, parameters=narrow))
-    p_values = smallest(rehearsed(run, tmp_path / "narrow", 6, variant))
+    p_values = smallest(rehearsed(run, tmp_path / "narrow", 5, variant))
     assert max(p_values[LEVELS], p_values[POOLED], p_values[MEAN]) < 0.001
 
 
