@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,6 @@ from mfd_bayes.calibration.posterior import Posterior
 from mfd_bayes.calibration.priors import units
 from mfd_bayes.friction.model import Model
 from mfd_bayes.records.trace import Trace, check_magnitude
-from mfd_bayes.store.netcdf import import_arviz
 
 Array = NDArray[np.float64]
 
@@ -92,7 +91,6 @@ def measure(chains: Array, tail_share: Array | float = 1.0) -> Convergence:
     independent chains. The effective sample size follows each walker along its steps. A quantity
     that never moves has no R̂: NaN. `tail_share` is that of `Convergence`.
     """
-    r_hat, ess = _arviz()
     ensembles, steps, walkers, dim = chains.shape
     by_time = chains.reshape(ensembles, steps * walkers, dim)
     by_walker = np.swapaxes(chains, 1, 2).reshape(ensembles * walkers, steps, dim)
@@ -101,9 +99,9 @@ def measure(chains: Array, tail_share: Array | float = 1.0) -> Convergence:
         return Convergence(np.full(dim, np.inf), nothing, nothing, tail_share)
     with np.errstate(divide="ignore", invalid="ignore"):  # draws that never move have no variance
         return Convergence(
-            r_hat=np.array([r_hat(by_time[..., k]) for k in range(dim)]),
-            ess_bulk=np.array([ess(by_walker[..., k], "bulk") for k in range(dim)]),
-            ess_tail=np.array([ess(by_walker[..., k], "tail") for k in range(dim)]),
+            r_hat=np.array([_r_hat(by_time[..., k]) for k in range(dim)]),
+            ess_bulk=np.array([_ess(by_walker[..., k], "bulk") for k in range(dim)]),
+            ess_tail=np.array([_ess(by_walker[..., k], "tail") for k in range(dim)]),
             tail_share=tail_share,
         )
 
@@ -115,33 +113,29 @@ def measure_draws(draws: Array, walkers: int) -> Convergence:
 
 def effective_size(draws: Array) -> float:
     """Bulk effective sample size of one quantity's stored draws (chain, draw); 0 if too few."""
-    return _arviz()[1](draws, "bulk") if draws.shape[1] >= FEWEST_STEPS else 0.0
+    return _ess(draws, "bulk") if draws.shape[1] >= FEWEST_STEPS else 0.0
 
 
-def _classic() -> Any:
-    """ArviZ 0.x, or None where it is 1.x."""
-    arviz = import_arviz()
-    return arviz if arviz.__version__.startswith("0.") else None
+def array_stats() -> Any:
+    """ArviZ's statistics of arrays, imported where they are needed, as this takes long."""
+    from arviz_stats.base.array import array_stats as functions
+
+    return functions
 
 
-def _arviz() -> tuple[Callable[[Array], float], Callable[[Array, str], float]]:
-    """Rank-normalised split R̂ and ESS of an array (chain, draw), from ArviZ 0.x or 1.x."""
-    if (classic := _classic()) is not None:
-        return (
-            lambda x: float(classic.rhat(x, method="rank")),
-            lambda x, kind: float(classic.ess(x, method=kind)),
-        )
-    from arviz_stats.base import array_stats
+def _r_hat(draws: Array) -> float:
+    """Rank-normalised split R̂ of draws (chain, draw)."""
+    return float(array_stats().rhat(draws, chain_axis=0, draw_axis=1, method="rank"))
 
-    def ess(x: Array, kind: str) -> float:
-        tails = {"prob": (0.05, 0.95)} if kind == "tail" else {}
-        return float(array_stats.ess(x, chain_axis=0, draw_axis=1, method=kind, **tails))
 
-    return lambda x: float(array_stats.rhat(x, chain_axis=0, draw_axis=1, method="rank")), ess
+def _ess(draws: Array, kind: str) -> float:
+    """Effective sample size of draws (chain, draw), of the "bulk", or of the "tail" beyond 90 %."""
+    tails = {"prob": (0.05, 0.95)} if kind == "tail" else {}
+    return float(array_stats().ess(draws, chain_axis=0, draw_axis=1, method=kind, **tails))
 
 
 def psis(log_ratios: Array, efficiency: float = 1.0) -> tuple[Array, float]:
-    """Normalised Pareto-smoothed log weights, (n,), and Pareto k, from ArviZ 0.x or 1.x.
+    """Normalised Pareto-smoothed log weights, (n,), and Pareto k, by ArviZ; ∞ without a fit.
 
     Vehtari, Simpson, Gelman, Yao and Gabry (2024). Above k = 0.7 the weights cannot be trusted.
     `efficiency` is the effective sample size over n.
@@ -149,17 +143,17 @@ def psis(log_ratios: Array, efficiency: float = 1.0) -> tuple[Array, float]:
     ratios = log_ratios - log_ratios.max()
     if np.all(ratios == 0.0):  # equal weights have no tail to fit
         return ratios - np.log(ratios.size), -np.inf
-    if ratios.size < 25:  # fewer than 5 draws in the tail: ArviZ 1.x refuses to fit them
-        return ratios - np.logaddexp.reduce(ratios), np.inf
-    with np.errstate(over="ignore"):  # harmless, in the fit to a very heavy tail
-        if (classic := _classic()) is not None:
-            weights, k = classic.psislw(ratios, reff=efficiency)
-        else:
-            from arviz_stats.base import array_stats
-
-            weights, k = array_stats.psislw(-ratios, r_eff=efficiency)
-    log_weights = np.asarray(weights, dtype=np.float64)
-    return log_weights - np.logaddexp.reduce(log_weights), float(k)
+    without_fit = ratios - np.logaddexp.reduce(ratios), np.inf
+    if ratios.size < 25:  # fewer than 5 draws in the tail: ArviZ refuses to fit them
+        return without_fit
+    try:
+        with np.errstate(all="ignore"):  # the fit to a tail that underflows is NaN
+            weights, k = array_stats().psislw(-ratios, r_eff=efficiency)
+    except ValueError:  # all values of the tail are the same
+        return without_fit
+    if np.isnan(k) or np.any(np.isnan(weights)):
+        return without_fit
+    return weights - np.logaddexp.reduce(weights), float(k)
 
 
 def systematic(log_weights: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:

@@ -14,13 +14,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfd_bayes.calibration.diagnostics import psis
-from mfd_bayes.store.netcdf import arviz_data, draws_group, import_arviz
+from mfd_bayes.calibration.diagnostics import array_stats, psis
 
 Array = NDArray[np.float64]
 Name = TypeVar("Name")
@@ -73,28 +72,20 @@ def power_scaling(
     names = [name for name, values in draws.items() if np.ptp(values) > 0.0]
     if not names:
         return {}
-    variables = {f"v{i}": np.asarray(draws[name], np.float64) for i, name in enumerate(names)}
-    components = {"prior": log_prior, "likelihood": log_likelihood}
-    densities = {f"log_{k}": draws_group({"all": density}) for k, density in components.items()}
-    data = arviz_data({"posterior": draws_group(variables)} | densities)
-    prior, likelihood = (_scaled(data, component) for component in components)
-    columns = np.stack([values.ravel() for values in variables.values()])
+    values = np.stack([np.asarray(draws[name], np.float64) for name in names])
+    columns = values.reshape(len(names), -1)
+    sensitivities: list[Array] = []
     pulls: list[Array] = []
     shapes: list[float] = []
-    for density in components.values():
-        weights, k = zip(*(psis((power - 1.0) * density.ravel()) for power in ALPHAS), strict=True)
-        lower, upper = (columns @ np.exp(log_weights) for log_weights in weights)
+    for density in (log_prior, log_likelihood):
+        logs, k = zip(*(psis((power - 1.0) * density.ravel()) for power in ALPHAS), strict=True)
+        weights = np.exp(logs)
+        lower, upper = (columns @ w for w in weights)
         pulls.append((upper - lower) / columns.std(axis=1))
         shapes += k
+        lower, upper = (np.broadcast_to(w.reshape(density.shape), values.shape) for w in weights)
+        sensitivities.append(array_stats().power_scale_sense(values, lower, upper, *ALPHAS))
     return {
-        name: Sensitivity(float(prior[v]), float(likelihood[v]), (float(a), float(b)), max(shapes))
-        for name, v, a, b in zip(names, variables, *pulls, strict=True)
+        name: Sensitivity(float(prior), float(data), (float(a), float(b)), max(shapes))
+        for name, prior, data, a, b in zip(names, *sensitivities, *pulls, strict=True)
     }
-
-
-def _scaled(data: Any, component: str) -> Any:
-    """Sensitivity of each variable to a component, by ArviZ 0.x or 1.x."""
-    arviz = import_arviz()
-    if hasattr(arviz, "psens"):  # its lower power is the inverse of the upper one
-        return arviz.psens(data, component=component, delta=ALPHAS[1] - 1.0)
-    return arviz.psense(data, group=component, alphas=ALPHAS)

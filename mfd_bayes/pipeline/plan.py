@@ -43,7 +43,7 @@ from mfd_bayes.runs.resume import with_keys
 from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import UnitSystem
 
-_VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "pandas", "xarray")
+_VERSIONED = ("mfd_bayes", "numpy", "scipy", "emcee", "arviz", "arviz-stats", "pandas", "xarray")
 
 
 # forces that a test needs at the standard effort, draws that are timed, and minutes for a test

@@ -4,6 +4,3 @@ from scipy import stats  # noqa: F401
 
 from mfd_bayes.calibration import sampling  # noqa: F401
 from mfd_bayes.reporting import figures, page  # noqa: F401
-from mfd_bayes.store.netcdf import import_arviz
-
-import_arviz()

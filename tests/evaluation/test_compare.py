@@ -197,6 +197,20 @@ def test_psis_weights_are_normalised_and_k_is_the_tail_of_the_weights():
         assert (k > LARGEST_K) == (tail > LARGEST_K)
 
 
+@pytest.mark.parametrize(
+    "ratios",
+    [
+        np.append(np.zeros(500), np.full(500, -50.0)),  # all values of the tail are the same
+        np.append(0.0, np.full(999, -1e4)),  # one draw has all of the weight
+        np.append(0.0, np.full(999, -np.inf)),
+    ],
+)
+def test_weights_without_a_tail_to_fit_are_as_they_were_and_not_trusted(ratios):
+    log_weights, k = psis(ratios)
+    assert k == np.inf
+    np.testing.assert_allclose(np.exp(log_weights), np.exp(ratios) / np.exp(ratios).sum())
+
+
 def normal_mean(blocks, n=4000, seed=0):
     """Draws of a mean with prior N(0, 10²), the blocks' log densities, and their exact elpd."""
     rng = np.random.default_rng(seed)
