@@ -44,6 +44,7 @@ from mfd_bayes.reporting.symbols import (
 )
 from mfd_bayes.runs.tested_range import conditions_of
 from mfd_bayes.runs.unit_system import US, UnitSystem
+from mfd_bayes.store.netcdf import import_arviz
 from mfd_bayes.units import percent
 
 
@@ -651,9 +652,9 @@ def draw_corner(
     quantities = quantities[:CORNER_QUANTITIES]
     if len(quantities) < 2 or len(quantities[0].posterior) <= CORNER_QUANTITIES:
         return None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # of what corner imports
-        from corner import corner
+    import_arviz()  # corner does so too, but with all that is slow about it
+    from corner import corner
+
     size = max(1.15 * len(quantities), 4.0)
     figure = new_figure(size, size, layout="none")
     stride = -(-len(quantities[0].posterior) // CORNER_DRAWS)
