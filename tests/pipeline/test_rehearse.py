@@ -3,11 +3,13 @@
 import json
 import shutil
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pandas as pd
 import pytest
 
+import mfd_bayes as mb
 from mfd_bayes.applications.rehearsal import rehearsal as rehearsals
 from mfd_bayes.applications.rehearsal.rehearsal import (
     ALONE,
@@ -25,6 +27,7 @@ from mfd_bayes.applications.rehearsal.rehearsal import (
 from mfd_bayes.applications.rehearsal.summary import NOT_TESTED, RehearsalSummary
 from mfd_bayes.calibration.effort import Effort
 from mfd_bayes.calibration.priors import Prior
+from mfd_bayes.calibration.sampling import sample
 from mfd_bayes.population.peaks import PeakExcess
 from mfd_bayes.runs.folder import POPULATION, REHEARSED, remove_stale
 from mfd_bayes.runs.run import sequence_of
@@ -251,37 +254,27 @@ def smallest(summary):
     return summary.table.groupby("of")["p_family"].min()
 
 
-def share_held(summary):
-    """Share of 80 % intervals of a test by itself that hold the truth, of what its noise blurs."""
-    rows = summary.table[summary.table["of"] == ALONE]
-    rows = rows[rows["quantity"].isin(["Fc_fwd", "Fc_bwd", "sigma2", "offset"])]
-    return rows["held_80"].sum() / rows["runs"].sum()
-
-
-# Expected are 0.8. The share was 0.78 of 12 right calibrations, and 0.38 of 24 that take correlated
-# noise for independent. That of six, or five, scatters by 0.07. It is judged in the middle.
-SHARE = 0.6
-
-
 @pytest.mark.slow
 def test_a_right_calibration_passes(run, tmp_path):
-    summary = rehearsed(run, tmp_path / "right", 6)
+    p_values = smallest(rehearsed(run, tmp_path / "right", 5))
     # what scatters between three tests follows its prior, which counts twice
-    assert smallest(summary).drop(SCATTERS).min() > 0.05
-    assert share_held(summary) > SHARE
+    assert p_values.drop(SCATTERS).min() > 0.05
 
 
 @pytest.mark.slow
-def test_noise_that_is_taken_for_independent_is_seen(run, tmp_path):
-    # the records' noise is correlated, and every test is calibrated as if it were not
-    settings = run.manifest.settings
-    campaign = settings.campaign.model_copy(update={"noise": "iid"})
-    manifest = run.manifest.changed(settings=settings.model_copy(update={"campaign": campaign}))
-    summary = rehearsed(run, tmp_path / "iid", 5, replace(run, manifest=manifest))
-    assert share_held(summary) < SHARE
-    # what the tests have in common learns the correlation itself, whatever they assume alone
-    p_values = smallest(summary)
-    assert min(p_values[ANOTHER_TEST], p_values[MEAN], p_values[POOLED]) > 0.05
+def test_noise_that_is_taken_for_independent_is_seen_in_the_records(run):
+    held = {"iid": [], "ou": []}
+    for number in range(4):
+        truth = simulate(run, np.random.default_rng([number, 1]))
+        for (name, trace), noise in product(truth.traces.items(), held):
+            posterior = mb.Posterior(trace, run.priors, noise, run.model)
+            values = sample(posterior, FAST, number).values
+            for quantity in ("Fc_fwd", "Fc_bwd", "sigma2", "offset"):  # which noise blurs
+                lower, upper = np.quantile(values[quantity], [0.1, 0.9])
+                held[noise].append(lower <= truth.tests[name][quantity].item() <= upper)
+    # In 24 rehearsals 80 % intervals held 38 % with independent noise, in 12 right ones 78 %; those
+    # of four scatter by 9 %.
+    assert np.mean(held["iid"]) < 0.6 < np.mean(held["ou"])
 
 
 @pytest.mark.slow
@@ -293,8 +286,8 @@ def test_priors_ten_times_too_narrow_are_seen(run, tmp_path):
         for name, p in run.priors.parameters.items()
     }
     variant = replace(run, priors=replace(run.priors, parameters=narrow))
-    p_values = smallest(rehearsed(run, tmp_path / "narrow", 5, variant))
-    assert max(p_values[LEVELS], p_values[POOLED], p_values[MEAN]) < 0.001
+    p_values = smallest(rehearsed(run, tmp_path / "narrow", 4, variant))
+    assert max(p_values[LEVELS], p_values[POOLED], p_values[MEAN]) < 0.01
 
 
 @pytest.mark.slow
