@@ -257,14 +257,15 @@ def smallest(summary):
 @pytest.mark.slow
 def test_a_right_calibration_passes(run, tmp_path):
     p_values = smallest(rehearsed(run, tmp_path / "right", 5))
-    # what scatters between three tests follows its prior, which counts twice
-    assert p_values.drop(SCATTERS).min() > 0.05
+    # what scatters between three tests follows its prior, which counts twice; of five groups one
+    # would be below by chance in 1 % of cases
+    assert p_values.drop(SCATTERS).min() > 0.002
 
 
 @pytest.mark.slow
 def test_noise_that_is_taken_for_independent_is_seen_in_the_records(run):
     held = {"iid": [], "ou": []}
-    for number in range(4):
+    for number in range(6):
         truth = simulate(run, np.random.default_rng([number, 1]))
         for (name, trace), noise in product(truth.traces.items(), held):
             posterior = mb.Posterior(trace, run.priors, noise, run.model)
@@ -272,9 +273,8 @@ def test_noise_that_is_taken_for_independent_is_seen_in_the_records(run):
             for quantity in ("Fc_fwd", "Fc_bwd", "sigma2", "offset"):  # which noise blurs
                 lower, upper = np.quantile(values[quantity], [0.1, 0.9])
                 held[noise].append(lower <= truth.tests[name][quantity].item() <= upper)
-    # In 24 rehearsals 80 % intervals held 38 % with independent noise, in 12 right ones 78 %; those
-    # of four scatter by 9 %.
-    assert np.mean(held["iid"]) < 0.6 < np.mean(held["ou"])
+    # of 16 truths they held 36 and 76 %; the difference of six is 0.40 ± 0.09 (standard error)
+    assert np.mean(held["iid"]) < np.mean(held["ou"]) - 0.05
 
 
 @pytest.mark.slow
@@ -286,8 +286,8 @@ def test_priors_ten_times_too_narrow_are_seen(run, tmp_path):
         for name, p in run.priors.parameters.items()
     }
     variant = replace(run, priors=replace(run.priors, parameters=narrow))
-    p_values = smallest(rehearsed(run, tmp_path / "narrow", 4, variant))
-    assert max(p_values[LEVELS], p_values[POOLED], p_values[MEAN]) < 0.01
+    p_values = smallest(rehearsed(run, tmp_path / "narrow", 6, variant))
+    assert max(p_values[LEVELS], p_values[POOLED], p_values[MEAN]) < 0.001
 
 
 @pytest.mark.slow
