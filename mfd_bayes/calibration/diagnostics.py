@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -143,17 +144,14 @@ def psis(log_ratios: Array, efficiency: float = 1.0) -> tuple[Array, float]:
     ratios = log_ratios - log_ratios.max()
     if np.all(ratios == 0.0):  # equal weights have no tail to fit
         return ratios - np.log(ratios.size), -np.inf
-    without_fit = ratios - np.logaddexp.reduce(ratios), np.inf
-    if ratios.size < 25:  # fewer than 5 draws in the tail: ArviZ refuses to fit them
-        return without_fit
-    try:
-        with np.errstate(all="ignore"):  # the fit to a tail that underflows is NaN
-            weights, k = array_stats().psislw(-ratios, r_eff=efficiency)
-    except ValueError:  # all values of the tail are the same
-        return without_fit
-    if np.isnan(k) or np.any(np.isnan(weights)):
-        return without_fit
-    return weights - np.logaddexp.reduce(weights), float(k)
+    log_weights, k = ratios, np.inf
+    if ratios.size >= 25:  # ArviZ refuses to fit fewer than 5 draws in the tail
+        # a tail that underflows has the fit NaN; one whose values are all the same is refused
+        with np.errstate(all="ignore"), suppress(ValueError):
+            smoothed, shape = array_stats().psislw(-ratios, r_eff=efficiency)
+            if not (np.isnan(shape) or np.any(np.isnan(smoothed))):
+                log_weights, k = smoothed, float(shape)
+    return log_weights - np.logaddexp.reduce(log_weights), k
 
 
 def systematic(log_weights: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:

@@ -80,8 +80,8 @@ def power_scaling(
     for density in (log_prior, log_likelihood):
         logs, k = zip(*(psis((power - 1.0) * density.ravel()) for power in ALPHAS), strict=True)
         weights = np.exp(logs)
-        lower, upper = (columns @ w for w in weights)
-        pulls.append((upper - lower) / columns.std(axis=1))
+        low_mean, high_mean = (columns @ w for w in weights)
+        pulls.append((high_mean - low_mean) / columns.std(axis=1))
         shapes += k
         lower, upper = (np.broadcast_to(w.reshape(density.shape), values.shape) for w in weights)
         sensitivities.append(array_stats().power_scale_sense(values, lower, upper, *ALPHAS))

@@ -652,7 +652,7 @@ def draw_corner(
     quantities = quantities[:CORNER_QUANTITIES]
     if len(quantities) < 2 or len(quantities[0].posterior) <= CORNER_QUANTITIES:
         return None
-    import_arviz()  # corner does so too, but with all that is slow about it
+    import_arviz()  # corner would import it with bokeh and numba, which takes longer
     from corner import corner
 
     size = max(1.15 * len(quantities), 4.0)
