@@ -93,13 +93,17 @@ def parser_of(
     if output:
         words = "folder of what is finished: delete it when records or code have changed"
         parser.add_argument("--out", type=Path, default=PROJECT / output, help=words)
-        parser.add_argument("--effort", default="standard", help="of the calibrations")
+        parser.add_argument(
+            "--effort", default="standard", help="of the calibrations; quick if --quick"
+        )
     return parser
 
 
 def begin(parser: argparse.ArgumentParser, *libraries: str) -> argparse.Namespace:
     """Read the command line; print the question, the command, and on what it is measured."""
     options = parser.parse_args()
+    if options.quick and "effort" in options:
+        options.effort = "quick"
     info = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     processor = next(line.split(":")[1].strip() for line in info if line.startswith("model name"))
     module = Path(sys.argv[0]).with_suffix("").relative_to(PROJECT).as_posix().replace("/", ".")
@@ -177,12 +181,11 @@ def lay_out(
 def calibrated(options: argparse.Namespace, session: str, model: str = "three_stage") -> Run:
     """Calibrated run of the records of a session, kept in --out; those of FEW if quick."""
     selection = FEW.get(session, ()) if options.quick else ()
-    effort = "quick" if options.quick else options.effort
-    folder = options.out / f"{session}_{model}_{effort}"
+    folder = options.out / f"{session}_{model}_{options.effort}"
     campaign_folder = options.out / f"campaign_{folder.name}"
     campaign = lay_out(options.data, campaign_folder, session, model, selection)
     request = RunOptions(
-        effort=effort, seed=options.seed, jobs=options.jobs, resume=folder.exists()
+        effort=options.effort, seed=options.seed, jobs=options.jobs, resume=folder.exists()
     )
 
     def report(step: Step) -> None:

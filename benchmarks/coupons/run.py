@@ -98,13 +98,12 @@ def main() -> None:
     parser = common.parser_of(__doc__ or "", data=True, jobs=2, output="out_coupons")
     parser.add_argument("--folds", type=int, default=5)
     options = common.begin(parser)
-    effort = "quick" if options.quick else "standard"
-    folder = options.out / effort
+    folder = options.out / options.effort
     shutil.copytree(common.PROJECT / "examples" / "coupons", folder, dirs_exist_ok=True)
     shutil.copytree(options.data / "coupons", folder, dirs_exist_ok=True)
     run_folder, began = folder / "out", time.perf_counter()
     if not (run_folder / "report.html").is_file():
-        how = ("--resume", "--jobs", options.jobs, "--effort", effort)
+        how = ("--resume", "--jobs", options.jobs, "--effort", options.effort)
         common.command("calibrate", folder / "campaign.toml", "-o", run_folder, *how)
         print(f"calibrate: {time.perf_counter() - began:.0f} s, load {os.getloadavg()[0]:.1f}")
     run = mb.open_run(run_folder)
@@ -114,7 +113,7 @@ def main() -> None:
     figures = np.array([three for fact in facts for three in fact.values()])
     print(f"coupons alone: R-hat <= {figures[:, 0].max():.4f}, ESS >= {figures[:, 1:].min():.0f}\n")
 
-    folds = folds_of(run, options.folds, effort)[: 1 if options.quick else None]
+    folds = folds_of(run, options.folds, options.effort)[: 1 if options.quick else None]
     predictions = run_folds(run, folds, RunOptions(jobs=options.jobs), lambda _: None)
     scores = {p.test: p.score for p in predictions}
     baselines = [least_squares_crps(run, folds, slice(0, letters)) for letters in (2, 1, 0)]

@@ -97,8 +97,7 @@ def main() -> None:
     run = common.calibrated(options, "2022-07")
     part = {"level": "tension", "test": "test"}[options.by]
     print(f"{len(run.tests)} tests, each {part} left out")
-    effort = "quick" if options.quick else options.effort
-    show(pd.DataFrame(bounded(run, effort, options.by)))
+    show(pd.DataFrame(bounded(run, options.effort, options.by)))
 
 
 if __name__ == "__main__":
