@@ -2,7 +2,8 @@
 
     python -m benchmarks.population.demo > benchmarks/population/demo.txt
 
-runs `mfd-bayes demo --quick` with --seeds seeds (5): ten minutes on two cores (--quick: one seed).
+runs `mfd-bayes demo --quick` with --seeds seeds (5), of which --seed (1) is the first: ten minutes
+on two cores (--quick: one seed).
 One test left out says little of a band: its slip force lies at one place in its scatter, for all of
 its samples. So the share of samples inside is given for the demo's own test, for `FURTHER` more
 tests drawn from the same truth, and, beside each, for a band that knows the truth.
@@ -62,7 +63,8 @@ def main() -> None:
     titles = ("its test left out", "truth's band", f"{FURTHER} more")
     print(f"{'':32s}" + "".join(f"{title:>18s}" for title in titles))
     print(f"{'seed':>6}{'inside':>9}{'known':>8}{'share':>9}" + "      50 %    95 %" * 3)
-    for seed in range(1, 1 + (1 if options.quick else options.seeds)):
+    seeds = 1 if options.quick else options.seeds
+    for seed in range(options.seed, options.seed + seeds):
         rows, verdict, shares = demo(seed, true, extra)
         rows = [row for row in rows if row["informed"]]
         covered = [row["name"] for row in rows if row["inside"]]
