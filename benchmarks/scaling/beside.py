@@ -2,10 +2,11 @@
 
     python -m benchmarks.scaling.beside OLD NEW --campaign campaign.toml
 
-OLD and NEW are the commands `mfd-bayes` of two virtual environments. Each version calibrates the
-campaign with two processes, in turn, with the same seeds; nothing else may run. A stage ends when
-its last file is written: the tests' pooled draws, then the population's, then the rest. Seconds
-are of a processor, of all processes together, and in brackets of wall time.
+OLD and NEW are the commands `mfd-bayes` of two virtual environments. First the one calibrates the
+campaign, then the other, with the same seed and --jobs processes (2), each with one thread; nothing
+else may run. --quick: effort "quick", some minutes. The tests end when the last of their own draws
+is written, the population when its draws are; the rest is the report. Seconds are those of all
+processors together; wall time is in brackets.
 """
 
 from benchmarks import common  # isort: skip  (one thread, before numpy)
@@ -15,6 +16,8 @@ import os
 import subprocess
 import time
 from pathlib import Path
+
+import numpy as np
 
 TICK = 1.0 / os.sysconf("SC_CLK_TCK")
 STAGES = ("tests", "population", "report")
@@ -33,60 +36,53 @@ def processor_times(session):
     return times
 
 
-def calibration(command, campaign, output, effort, seed):
-    """Seconds of a processor and of wall time by stage, and what the run says of its population."""
-    words = [command, "calibrate", campaign.resolve(), "-o", output.resolve(), "--quiet"]
-    words += ["--jobs", "2", "--effort", effort, "--seed", seed]
-    output.parent.mkdir(parents=True, exist_ok=True)
-    began, spent, moments = time.perf_counter(), {}, []
-    with (output.parent / f"{output.name}.log").open("w") as log:
-        line = [*map(str, words)]
+def calibration(command, campaign, output, options):
+    """Seconds (4, 2), of processors and of wall time, of each stage and of all; how it sampled."""
+    words = [command, "calibrate", campaign, "-o", output, "--quiet", "--effort", options.effort]
+    words += ["--jobs", options.jobs, "--seed", options.seed]
+    log = output.parent / f"{output.name}.log"
+    log.parent.mkdir(parents=True, exist_ok=True)
+    began, spent, clock, seconds = time.time(), {}, [], []
+    with log.open("w") as file:
         # elsewhere than the project, which workers would import in place of what is installed
         process = subprocess.Popen(
-            line, stdout=log, stderr=log, cwd=output.parent, start_new_session=True
+            [*map(str, words)], stdout=file, stderr=file, cwd=log.parent, start_new_session=True
         )
         while process.poll() is None:
             spent.update(processor_times(process.pid))
-            moments.append((time.time(), time.perf_counter() - began, sum(spent.values())))
+            clock.append(time.time())
+            seconds.append((sum(spent.values()), clock[-1] - began))
             time.sleep(0.1)
     if process.returncode:
-        raise SystemExit((output.parent / f"{output.name}.log").read_text())
-    ends = [
-        max(path.stat().st_mtime for path in output.glob("tests/*/posterior.nc")),
-        (output / "population.nc").stat().st_mtime,
-        moments[-1][0],
-    ]
-    rows, before = {}, (0.0, 0.0)
-    for stage, end in zip(STAGES, ends, strict=True):
-        _, wall, seconds = next(m for m in moments if m[0] >= end)
-        rows[stage] = (seconds - before[1], wall - before[0])
-        before = (wall, seconds)
-    rows["whole"] = (before[1], before[0])
+        raise SystemExit(log.read_text())
+    tests = max(path.stat().st_mtime for path in output.glob("tests/*/posterior.nc"))
+    population = (output / "population.nc").stat().st_mtime
+    ends = np.array(seconds)[[*np.searchsorted(clock, [tests, population]), -1]]
     manifest = json.loads((output / "manifest.json").read_text(encoding="utf-8"))
-    return rows, manifest["population_sampler"]
+    stages = np.diff(ends, axis=0, prepend=0.0)
+    return np.vstack([stages, ends[-1]]), manifest["population_sampler"]
+
+
+def show(title, rows, digits, sampler=""):
+    """Print one line of the table."""
+    pairs = "".join(f"{a:11.{digits}f} ({b:6.{digits}f})" for a, b in rows)
+    print(f"{title:16}{pairs}  {sampler}".rstrip(), flush=True)
 
 
 def main():
-    parser = common.parser_of(__doc__, output="beside")
+    parser = common.parser_of(__doc__, jobs=2, output="out_beside")
     parser.add_argument("commands", nargs=2, type=Path, metavar=("OLD", "NEW"))
     parser.add_argument("--campaign", type=Path, required=True)
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
     options = common.begin(parser)
-    effort = "quick" if options.quick else options.effort
+    campaign, out = options.campaign.resolve(), options.out.resolve()
     print(f"seed{'':12}" + "".join(f"{stage:>20}" for stage in (*STAGES, "whole")))
-    for seed in options.seeds:
-        runs = []
-        for word, command in zip(("old", "new"), options.commands, strict=True):
-            output = options.out / f"{options.campaign.parent.name}_{seed}_{word}"
-            rows, sampler = calibration(command, options.campaign, output, effort, seed)
-            line = "".join(f"{seconds:11.1f} ({wall:6.1f})" for seconds, wall in rows.values())
-            print(f"{seed:4d} {word:11}{line}  {sampler}", flush=True)
-            runs.append(rows)
-        line = "".join(
-            f"{new / old:11.2f} ({new_wall / old_wall:6.2f})"
-            for (old, old_wall), (new, new_wall) in zip(*(r.values() for r in runs), strict=True)
-        )
-        print(f"{seed:4d} new over old{line}", flush=True)
+    runs = []
+    for word, command in zip(("old", "new"), options.commands, strict=True):
+        output = out / f"{campaign.parent.name}_{options.seed}_{word}"
+        rows, sampler = calibration(command.absolute(), campaign, output, options)
+        show(f"{options.seed:4d} {word}", rows, 1, sampler)
+        runs.append(rows)
+    show(f"{options.seed:4d} new over old", runs[1] / runs[0], 2)
 
 
 if __name__ == "__main__":
