@@ -507,15 +507,20 @@ class Design:
         """Quantity of each linear coefficient, (Z,)."""
         return np.asarray(self._columns[0])
 
+    @property
+    def effect(self) -> Index:
+        """Effect of each linear coefficient, (Z,); -1 for a level or a slope."""
+        return np.asarray(self._columns[1])
+
     def columns(self, effect: int) -> Index:
         """Numbers of the coefficients of an effect: (its quantities, cells or sessions)."""
-        own = np.flatnonzero(self._columns[1] == effect)
-        return own.reshape(len(self.effects[effect].members), -1)
+        columns = np.flatnonzero(self.effect == effect)
+        return columns.reshape(len(self.effects[effect].members), -1)
 
     @property
     def z_sd(self) -> Array:
         """Prior sd of the linear coefficients that are no effects: levels and slopes."""
-        sd = np.full(np.count_nonzero(self._columns[1] < 0), SENSITIVITY)
+        sd = np.full(np.count_nonzero(self.effect < 0), SENSITIVITY)
         sd[: len(self.names)] = 1.0
         pairs = [c for covariates in self.dependence.values() for c in covariates]
         sd[len(self.names) :][[c in CONDITIONS for c in pairs]] = DRIFT

@@ -11,8 +11,9 @@ normal numbers e. A sweep of the sampler has three moves:
    - the levels of what all tests share, by the difference of two draws of the warm-up (DE-MC(Z):
      ter Braak and Vrugt, 2008), or from a mixture fitted to these draws (independence Metropolis);
      the rest of z is shifted as its Gaussian given h says;
-3. given all tests, which needs no force: the coordinates of h by random-walk Metropolis, those of
-   different quantities side by side, then z from its Gaussian (Gibbs).
+3. given all tests, which needs no force: the coordinates of h by random-walk Metropolis with z
+   integrated out, those of different quantities side by side, then z from its Gaussian (collapsed
+   Gibbs sampler: Liu, 1994).
 
 Numbers change by the preconditioned Crank-Nicolson step e' = √(1 - β²) e + β ξ, which leaves the
 approximation as it is. Moves 1 and 2 are accepted by the exact over the approximate likelihoods too
@@ -39,6 +40,7 @@ from mfd_bayes.calibration.proposal import Proposal, fit_mixture, fit_proposal
 from mfd_bayes.jobs.local import Evaluate, in_turn
 from mfd_bayes.population.joint_fit import Array, Index, JointFit
 from mfd_bayes.population.mixed_model import (
+    STEP,
     MixedModel,
     StudentTProposal,
     backward,
@@ -50,13 +52,13 @@ STORED = 2**26  # most numbers of the tests' coordinates that are held
 # how often the Gaussians are fitted anew, sweeps before each and after the last, of which the first
 # quarter is forgotten, and kept sweeps before the first look at the convergence
 REFITS, WARM_UP, FIRST = 3, 20, 40
-LOOK = 1.4  # least growth of the kept sweeps from look to look
+LOOK = (1.2, 1.5)  # least and largest growth of the kept sweeps from look to look
 RIDGE = 3.0  # of the least squares, for a direction that few draws show
 LEAST = 1e-3  # least precision of a test over that of its posterior, in any direction
 ACCEPT = 0.3  # share of moves of the tests that is to be accepted
 ACCEPT_Z = 0.2  # the same of z
 # shares of the moves of z: with another h; of common levels by a difference of draws; by a mixture
-MOVES = (0.3, 0.35, 0.35)
+MOVES = (0.2, 0.1, 0.7)
 FULL = 0.15  # share of the differences of draws that are taken as they are: from mode to mode
 COMPONENTS = 4  # of the mixture
 
@@ -102,10 +104,13 @@ class ExactSampler:
         local[mixed.free] = True
         self.local = np.flatnonzero(local)
         self.beta, self.beta_z = np.full(len(fit.mean), 0.8), 0.8  # step sizes
+        self.step_h = np.full(mixed.dim, STEP)
         # while warming up: proposals x, their excess, and the share of it that each test accepts
         self.proposals: list[tuple[Array, Array, Array]] = []
         self.warming_up = True
-        self.rates: list[tuple[Array, float]] = []  # accepted shares: of each test, and of z
+        # shares of moves that were accepted: of each test, and of what all share
+        self.accepted: list[Array] = []
+        self.accepted_together: list[float] = []
         # levels of what all tests share: columns of z, draws of the warm-up, and their mixture
         self.common = np.flatnonzero(mixed.design.common)
         self.levels: list[Array] = []
@@ -171,40 +176,52 @@ class ExactSampler:
 
     def sweep(self) -> None:
         """One move of each kind; while warming up the step sizes are tuned."""
-        s, rng = self.state, self.rng
+        self._move_tests()
+        self._move_together()
+        self._move_h()
+        if self.warming_up:
+            self.levels.append(self.state.z[:, self.common])
+
+    def _numbers(self, s: ChainState) -> tuple[tuple[Array, Array], Array]:
+        """Conditional of the tests, and their standard normal numbers (n, J, L)."""
         mean, factor = conditional = self._conditional(s.h, s.z)
-        e = np.einsum("njab,nja->njb", factor, (s.x - mean)[..., self.local])
-        # each test
-        moved = self._autoregressive(e, self.beta[:, None])
-        x = self._tests_of(conditional, moved)
+        return conditional, np.einsum("njab,nja->njb", factor, (s.x - mean)[..., self.local])
+
+    def _move_tests(self) -> None:
+        """Move each test by itself."""
+        s, (conditional, e) = self.state, self._numbers(self.state)
+        x = self._tests_of(conditional, self._autoregressive(e, self.beta[:, None]))
         new = s._replace(x=x, excess=self._excess(x))
         self._keep(s, new)
-        tests = np.log(rng.random(s.excess.shape)) < new.excess - s.excess
-        own, e = tests[..., None], np.where(tests[..., None], moved, e)
-        excess = np.where(tests, new.excess, s.excess)
-        s = s._replace(x=np.where(own, new.x, s.x), excess=excess)
-        # all tests together
-        move = rng.choice(len(MOVES), p=MOVES) if self.archive else 0
+        accepted = np.log(self.rng.random(s.excess.shape)) < new.excess - s.excess
+        self.state = s._replace(
+            x=np.where(accepted[..., None], new.x, s.x),
+            excess=np.where(accepted, new.excess, s.excess),
+        )
+        share = accepted.mean(axis=0)
+        self.accepted.append(share)
+        if self.warming_up:
+            self.beta = np.clip(self.beta * np.exp(0.1 * (share - ACCEPT)), 0.05, 1.0)
+
+    def _move_together(self) -> None:
+        """Move what all tests share, and all tests with it."""
+        s, (_, e) = self.state, self._numbers(self.state)
+        move = self.rng.choice(len(MOVES), p=MOVES) if self.archive else 0
         h, z, log_ratio = self._with_another_h(s) if move == 0 else self._shift_common(s, move == 1)
         new = self._at(h, z, e)
         self._keep(s, new)
         log_ratio += new.excess.sum(axis=1) - s.excess.sum(axis=1)
-        accepted = np.log(rng.random(len(log_ratio))) < log_ratio
+        accepted = np.log(self.rng.random(len(log_ratio))) < log_ratio
         self.state = ChainState(
             *(
                 np.where(accepted.reshape(-1, *[1] * (a.ndim - 1)), b, a)
                 for a, b in zip(s, new, strict=True)
             )
         )
-        self._move_h()
-        each, together = tests.mean(axis=0), float(accepted.mean())
-        self.rates.append((each, together))
-        if self.warming_up:
-            self.levels.append(self.state.z[:, self.common])
-            self.beta = np.clip(self.beta * np.exp(0.1 * (each - ACCEPT)), 0.05, 1.0)
-            if move == 0:  # the others do not depend on this step
-                step = self.beta_z * np.exp(0.1 * (together - ACCEPT_Z))
-                self.beta_z = float(np.clip(step, 0.02, 1.0))
+        share = float(accepted.mean())
+        self.accepted_together.append(share)
+        if self.warming_up and move == 0:  # the others do not depend on this step
+            self.beta_z = float(np.clip(self.beta_z * np.exp(0.1 * (share - ACCEPT_Z)), 0.02, 1.0))
 
     def _with_another_h(self, s: ChainState) -> tuple[Array, Array, Array]:
         """Proposed h, from its Student t, and z near its numbers; log ratio but for the excess."""
@@ -239,9 +256,9 @@ class ExactSampler:
         return s.h, z, log_ratio
 
     def _learn_common(self) -> None:
-        """Take the last levels of what all tests share as the archive of their moves."""
+        """Take levels of what all tests share, of the last two fits, as their moves' archive."""
         if self.common.size:
-            draws = np.concatenate(self.levels[-WARM_UP:])
+            draws = np.concatenate(self.levels[-2 * WARM_UP :])
             wide = fit_mixture(draws, self.rng, components=1)
             self.archive = draws, fit_proposal(draws, COMPONENTS, self.rng, wide)
 
@@ -294,8 +311,12 @@ class ExactSampler:
         """Move h given z and the tests, then z."""
         s, pooled = self.state, ~self.unpooled[:, self.mixed.free]
         x = s.x[..., : self.d]
-        h, z = self.mixed.move_given_tests(s.h, s.z, x, pooled, self.choice, self.rng)
+        h, z, step = self.mixed.move_given_tests(
+            *(s.h, s.z, x, pooled, self.choice, self.step_h, self.rng)
+        )
         self.state = s._replace(h=h, z=z)
+        if self.warming_up:
+            self.step_h = step
 
     def run(
         self,
@@ -315,7 +336,8 @@ class ExactSampler:
                 self.proposals = []
                 self._learn_common()
         self.warming_up = False
-        self.rates.clear()
+        self.accepted.clear()
+        self.accepted_together.clear()
         stride = max(1, self.state.x.size * limit // STORED)
         tabled = self.mixed.design.tabled
         shown = np.append(np.ones(self.mixed.dim, dtype=bool), tabled)
@@ -339,7 +361,7 @@ class ExactSampler:
             if convergence.reached(r_hat, ess) or len(h) >= limit:
                 break
             share = max(convergence.share(r_hat, ess), 1e-9)
-            look = min(limit, math.ceil(len(h) * np.clip(1.1 / share, LOOK, 2.0)))
+            look = min(limit, math.ceil(len(h) * np.clip(1.1 / share, *LOOK)))
         n_states = max(1, min(len(x), n_kept // (len(self.choice) // CHAINS)))
         steps = np.linspace(0, len(x) - 1, n_states).astype(int)
 
@@ -347,7 +369,7 @@ class ExactSampler:
             stacked = np.stack(states, axis=1).astype(np.float64)
             return stacked.reshape(CHAINS, -1, *stacked.shape[2:])
 
-        tests, together = (float(np.mean(r)) for r in zip(*self.rates, strict=True))
+        accepted = float(np.mean(self.accepted)), float(np.mean(self.accepted_together))
         scatter, levels = ([values[t * stride] for t in steps] for values in (h, z))
         log_likelihood = [
             self.mixed.log_tests(*pair, self.choice) for pair in zip(scatter, levels, strict=True)
@@ -355,5 +377,5 @@ class ExactSampler:
         return PopulationDraws(
             *(by_chain(scatter), by_chain(levels), by_chain([x[t] for t in steps])),
             by_chain(log_likelihood),
-            *(convergence, len(h), (tests, together)),
+            *(convergence, len(h), accepted),
         )

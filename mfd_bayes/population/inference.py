@@ -49,6 +49,7 @@ from mfd_bayes.population.joint_fit import (
 )
 from mfd_bayes.population.law_scores import DependenceScore, LawScore
 from mfd_bayes.population.mixed_model import (
+    STEP,
     MixedModel,
     StudentTProposal,
     TestGaussians,
@@ -358,8 +359,9 @@ def _alternatives(
         index = rng.choice(len(rows[0]), n)
         x, z_of_draw, moved_of_draw, knots_of_draw = (a[index] for a in rows)
         z[:, common] = z_of_draw[:, common]
+        step = np.full(mixed_model.dim, STEP)
         for _ in range(SETTLING):
-            h, z = mixed_model.move_given_tests(h, z, x[..., :d], pooled, choice, rng)
+            h, z, step = mixed_model.move_given_tests(h, z, x[..., :d], pooled, choice, step, rng)
         z[:, :d] += moved_of_draw[:, :d]
         shapes = mixed_model.shapes(h, choice)
         of_laws.append((h[:, : mixed_model.f + mixed_model.e], z, *shapes, knots_of_draw))

@@ -44,6 +44,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 LARGEST = 12.0  # largest size of a coordinate of h
+FAINTEST = -1000.0  # least log prior density of one
 COVARIATES = ("velocity", "amplitude")  # that a quantity may follow besides the actuation
 # probability that a quantity of a test is an outlier, and the scatter of outliers over others'
 OUTLIER, WIDER = 0.01, 10.0
@@ -53,7 +54,9 @@ POINTS, ENOUGH, ADAPTATIONS, ADAPTED = 3000, 1.0 / 3.0, 6, 2
 # degrees of freedom of the points, and their scale over that of the density that they are for
 FREEDOM, SCALE = 7, 1.1
 FARTHEST = 7.0  # largest standard normal number of the mode of h
-RANDOM_WALK = 0.6  # sd of the random walk of the coordinates of h
+# of the random walk of each coordinate of h: its sd at first, the least and the largest, the share
+# of moves that is to be accepted (Gelman, Roberts and Gilks, 1996), and how fast it is tuned to it
+STEP, STEPS, ACCEPT_H, TUNING = 0.6, (0.02, 5.0), 0.44, 0.1
 ROUNDS = 4  # largest number of rounds of expectation-maximisation of outliers
 
 
@@ -123,13 +126,9 @@ class MixedModel:
         self.dim = self.f + self.e + len(design.shapes)
         self.scale = np.concatenate([design.scatter_sd[self.free], [e.scale for e in effects]])
         self.weight = np.ones((len(y), self.f)) if weight is None else weight
-        # of each coordinate of h that tests know: its number, kind, and quantity or effect
-        owners = [(shape, design.names.index(name)) for name, shape in design.shapes]
-        v, free = self.f + self.e, self.free.tolist()
-        self.blocks = [(i, "scatter", i) for i in range(v)]
-        self.blocks += [
-            (v + i, shape, free.index(k)) for i, (shape, k) in enumerate(owners) if k in free
-        ]
+        # columns of h that are moved side by side; the free quantities that know them, each of one
+        # of the columns, and its number
+        self.side_by_side = self._side_by_side()
         self.rows = np.stack([design.row(s) for s in design.settings])
         self.actuation = np.array([s.actuation for s in design.settings])
         # mean and covariance of the numbers of h by the choice of laws, once they were drawn
@@ -143,6 +142,29 @@ class MixedModel:
         level = np.linalg.inv(covariance + 1e-9 * np.eye(len(covariance)))
         self.effect_precision = [
             level if e.name == "level" else np.eye(len(e.homes)) for e in effects
+        ]
+
+    def _side_by_side(self) -> list[tuple[Index, Index, Index]]:
+        """Columns of h by kind, in turn, with their free quantities and the owners of these."""
+        free, shapes = self.free.tolist(), self.design.shapes
+        kinds: dict[str, list[tuple[int, list[int]]]] = {
+            "scatter": [(f, [f]) for f in range(self.f)]
+        }
+        for i, effect in enumerate(self.design.effects, self.f):
+            members = [free.index(k) for k in effect.members]
+            kinds.setdefault(effect.name, []).append((i, members))
+        for i, (name, shape) in enumerate(shapes, self.f + self.e):
+            k = self.design.names.index(name)
+            if k in free:
+                kinds.setdefault(shape, []).append((i, [free.index(k)]))
+        return [
+            (
+                np.array([i for i, _ in pairs], dtype=np.intp),
+                np.array([f for _, members in pairs for f in members], dtype=np.intp),
+                np.repeat(np.arange(len(pairs)), [len(members) for _, members in pairs]),
+            )
+            for pairs in kinds.values()
+            if pairs
         ]
 
     # --- parts of h -------------------------------------------------------------------------------
@@ -264,74 +286,63 @@ class MixedModel:
         x: Array,
         pooled: NDArray[np.bool_],
         choice: Index,
+        step: Array,
         rng: np.random.Generator,
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, Array, Array]:
         """Move h and the free quantities' z by a Markov chain given the tests x (n, J, d).
 
-        Random-walk Metropolis of h, then z from its Gaussian (Gibbs). Given z and x, what belongs
-        to different quantities and effects is independent: scatters are moved side by side, and so
-        are shares and exponents. `pooled` (J, F) are the quantities of tests that follow h and z.
+        Random-walk Metropolis of h, with sds `step` (dim,) and z integrated out, then z from its
+        Gaussian (collapsed Gibbs sampler: Liu, 1994). Given the tests, what belongs to different
+        quantities is independent: scatters are moved side by side, and so are effects' sds, shares
+        and exponents. `pooled` (J, F) are the quantities of tests that follow h and z. The steps
+        are returned longer or shorter, as more or fewer moves than `ACCEPT_H` were accepted.
         """
-        h, without_law = h.copy(), x - self.design.linear(z, self.rows)
-        log = self._log_given_tests(h, z, without_law, pooled, choice)
-        for kind, step in (("scatter", 1.0), ("share", 0.3), ("exponent", 0.3)):
-            columns = np.array([i for i, k, _ in self.blocks if k == kind], dtype=np.intp)
-            if not columns.size:
-                continue
-            block = [b for _, k, b in self.blocks if k == kind]
+        h, z, step, all_of_them = h.copy(), z.copy(), step.copy(), np.arange(self.f)
+        log = self._given_tests(h, x, pooled, choice, all_of_them)[0]
+        for columns, quantity, owner in self.side_by_side:
             moved = h.copy()
-            moved[:, columns] += step * RANDOM_WALK * rng.standard_normal((len(h), columns.size))
-            log_moved = self._log_given_tests(moved, z, without_law, pooled, choice)
-            accepted = np.log(rng.random((len(h), columns.size))) < (log_moved - log)[:, block]
+            moved[:, columns] += step[columns] * rng.standard_normal((len(h), columns.size))
+            possible = (np.abs(moved) < LARGEST) & (self.log_prior(moved) > FAINTEST)
+            moved = np.where(possible, moved, h)  # beyond these limits h stays
+            log_moved = self._given_tests(moved, x, pooled, choice, quantity)[0]
+            ratio = (self.log_prior(moved) - self.log_prior(h))[:, columns]
+            ratio += (log_moved - log[:, quantity]) @ np.eye(columns.size)[owner]
+            accepted = np.log(rng.random(ratio.shape)) < ratio
             h[:, columns] = np.where(accepted, moved[:, columns], h[:, columns])
-            log[:, block] = np.where(accepted, log_moved[:, block], log[:, block])
-        return h, self._draw_given_tests(h, x - self.offsets(h, choice), pooled, z, rng)
+            log[:, quantity] = np.where(accepted[:, owner], log_moved, log[:, quantity])
+            step[columns] *= np.exp(TUNING * (accepted.mean(axis=0) - ACCEPT_H))
+        _, coefficients = self._given_tests(h, x, pooled, choice, all_of_them)
+        for k, of_quantity in zip(self.free, coefficients, strict=True):
+            z[:, self.design.quantity == k] = of_quantity.draw(rng)
+        return h, z, np.clip(step, *STEPS)
 
-    def _log_given_tests(
+    def _given_tests(
         self,
         h: Array,
-        z: Array,
-        without_law: Array,
+        x: Array,
         pooled: NDArray[np.bool_],
         choice: Index,
-    ) -> Array:
-        """Log density of h given z and the tests' coordinates, of each block, (n, F + E)."""
-        sd = self.sd(h)
-        distance = (without_law - self.offsets(h, choice))[..., self.free]
-        terms = np.where(pooled, -0.5 * (distance / sd) ** 2 - np.log(sd), 0.0)
-        log = np.zeros((len(h), self.f + self.e))
-        log[:, : self.f] = terms.sum(axis=1)
-        prior = np.where(np.abs(h) < LARGEST, self.log_prior(h), -np.inf)
-        for i, _, block in self.blocks:
-            log[:, block] += prior[:, i]
-        omega = self.omega(h)
-        for e, precision in enumerate(self.effect_precision):
-            u = z[:, self.design.columns(e)]
-            squares = np.sum((u @ precision) * u, axis=(1, 2))
-            log[:, self.f + e] -= u[0].size * np.log(omega[:, e]) + 0.5 * squares / omega[:, e] ** 2
-        return log
-
-    def _draw_given_tests(
-        self,
-        h: Array,
-        residual: Array,
-        pooled: NDArray[np.bool_],
-        z: Array,
-        rng: np.random.Generator,
-    ) -> Array:
-        """Draw z (n, Z) of the free quantities given the tests' coordinates less laws (n, J, d)."""
-        z, a, quantity = z.copy(), self.prior_precision(h), self.design.quantity
-        precision = pooled * self.weight / self.tau(h)[:, None] ** 2
-        for f, k in enumerate(self.free):  # given the tests these do not know of each other
-            columns = np.flatnonzero(quantity == k)
-            weighted = self.rows[:, columns].T * precision[:, None, :, f]
-            inner = a[:, columns[:, None], columns] + weighted @ self.rows[:, columns]
+        quantities: Index,
+    ) -> tuple[Array, list[Coefficients]]:
+        """Log marginal likelihood (n, q) of q free quantities of the tests, and z given these."""
+        logs, coefficients = [], []
+        prior, tau = self.prior_precision(h), self.tau(h)
+        residual = (x - self.offsets(h, choice))[..., self.free]
+        for f in quantities:
+            columns = np.flatnonzero(self.design.quantity == self.free[f])
+            precision = pooled[:, f] * self.weight[:, f] / tau[:, [f]] ** 2
+            weighted = self.rows[:, columns].T * precision[:, None]
+            inner = prior[:, columns[:, None], columns] + weighted @ self.rows[:, columns]
             factor = np.asarray(np.linalg.cholesky(inner), dtype=np.float64)
-            pulled = np.asarray(np.einsum("nmj,nj->nm", weighted, residual[..., k]))
-            z[:, columns] = Coefficients(backward(factor, forward(factor, pulled)), factor).draw(
-                rng
-            )
-        return z
+            u = forward(factor, np.einsum("nmj,nj->nm", weighted, residual[..., f]))
+            effects = self.design.effect[columns]
+            log = -np.count_nonzero(pooled[:, f]) * h[:, f]
+            log -= h[:, self.f + effects[effects >= 0]].sum(axis=1)
+            log -= np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+            log += 0.5 * np.sum(u**2, axis=1)
+            logs.append(log - 0.5 * np.sum(precision * residual[..., f] ** 2, axis=1))
+            coefficients.append(Coefficients(backward(factor, u), factor))
+        return np.reshape(logs, (-1, len(h))).T, coefficients
 
     def _inner(self, js: Index, tau: Array) -> Array:
         """Precision of the deviations of tests js given the rest, (n, m, F, F)."""

@@ -162,6 +162,73 @@ def test_coefficients_given_h_are_those_of_the_dense_distribution(mixed):
     np.testing.assert_allclose(z.std(axis=0), sd, rtol=4.5 / np.sqrt(2 * 4000))
 
 
+@pytest.fixture(scope="module")
+def known(priors):
+    """Tests whose coordinates are all but exactly known; one says nothing of sigma0."""
+    laid, rng = design(priors), np.random.default_rng(4)
+    x = 0.5 * rng.standard_normal((len(SETTINGS), len(NAMES)))
+    x[:, NAMES.index("k3")] = 0.1  # the same in all tests
+    precision = np.tile(1e8 * np.eye(len(NAMES)), (len(x), 1, 1))
+    precision[5, 1, 1] = 1e-8
+    weight = np.ones((len(x), 3))
+    weight[2, 0] = 0.04
+    return MixedModel(laid, x, precision, weight)
+
+
+def moments_given_tests(mixed, chains=64, sweeps=600):
+    """Means of h, of its squares, and of the coefficients z, by chain, after a sixth of the sweeps.
+
+    The coefficients are those of quantities that differ between tests.
+    """
+    rng, pooled = np.random.default_rng(5), np.ones(mixed.weight.shape, dtype=bool)
+    pooled[5, 1] = False
+    h, z = some_h(mixed, chains), np.zeros((chains, mixed.design.quantity.size))
+    step, choice, draws = np.ones(mixed.dim), choice_of(mixed), []
+    x = np.tile(mixed.y, (chains, 1, 1))
+    for sweep in range(sweeps):
+        h, z, tuned = mixed.move_given_tests(h, z, x, pooled, choice, step, rng)
+        if sweep < sweeps // 6:
+            step = tuned
+        else:
+            draws.append(np.column_stack([h, h**2, z[:, differing(mixed)]]))
+    return np.mean(draws, axis=0)
+
+
+def differing(mixed):
+    return np.isin(mixed.design.quantity, mixed.free)
+
+
+def moments_by_importance(mixed):
+    """The same by importance sampling of h, whose marginal likelihood is tested above."""
+    h = sample_h(mixed, choice_of(mixed), np.random.default_rng(6), 6000)
+    z = np.concatenate([mixed.marginal(b, choice_of(mixed))[1].mean for b in np.split(h, 60)])
+    return np.column_stack([h, h**2, z[:, differing(mixed)]])
+
+
+def errors_given_tests(mixed):
+    """Differences of the two, in standard errors; six draws of the sample count as one point."""
+    by_chain, points = moments_given_tests(mixed), moments_by_importance(mixed)
+    variance = by_chain.var(axis=0) / len(by_chain) + 6.0 * points.var(axis=0) / len(points)
+    return (by_chain.mean(axis=0) - points.mean(axis=0)) / np.sqrt(variance)
+
+
+def test_moves_given_the_tests_have_the_moments_of_an_importance_sample(known):
+    assert {effect.name for effect in known.design.effects} == {"level", "session"}
+    assert {shape for _, shape in known.design.shapes} == {"share", "exponent"}
+    assert np.abs(errors_given_tests(known)).max() < 4.5
+
+
+@pytest.mark.parametrize("term", ["log_prior", "prior_precision"])
+def test_a_wrong_term_of_the_moves_given_the_tests_would_be_seen(known, monkeypatch, term):
+    """Twice the log prior of h, or twice the precision of the coefficients."""
+    expected, exact = moments_by_importance(known), getattr(MixedModel, term)
+    monkeypatch.setattr(MixedModel, term, lambda self, h: 2.0 * exact(self, h))
+    by_chain = moments_given_tests(known, sweeps=300)
+    errors = (by_chain - expected.mean(axis=0)).mean(axis=0)
+    errors /= by_chain.std(axis=0) / np.sqrt(len(by_chain))
+    assert np.abs(errors).max() > 8.0
+
+
 def clean(priors, seed, count=10):
     """Tests at one level that scatter by half the prior's scale, known to a fifth of that."""
     rng = np.random.default_rng(seed)
