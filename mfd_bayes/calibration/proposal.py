@@ -307,7 +307,7 @@ class Mixture:
         squares = np.einsum("nki,nki->kn", standard, standard)
         dof, dim = self.dof[:, None], self.means.shape[1]
         terms = constants[:, None] - 0.5 * (dof + dim) * np.log1p(squares / dof)
-        return special.logsumexp(terms, axis=0) + slope
+        return np.asarray(np.logaddexp.reduce(terms, axis=0) + slope)
 
     def draw(self, rng: np.random.Generator, n: int) -> Array:
         """Independent draws, (n, dim)."""
@@ -330,7 +330,7 @@ class Proposal:
     def log_density(self, q: Array) -> Array:
         """Normalised log density, (n, dim) -> (n,)."""
         densities = np.stack([component.log_density(q) for component in self.parts])
-        return special.logsumexp(densities + np.log(self.shares)[:, None], axis=0)
+        return np.asarray(np.logaddexp.reduce(densities + np.log(self.shares)[:, None], axis=0))
 
     def draw(self, rng: np.random.Generator, n: int) -> Array:
         """Independent draws, (n, dim)."""
