@@ -175,7 +175,7 @@ def known(priors):
     return MixedModel(laid, x, precision, weight)
 
 
-def moments_given_tests(mixed, chains=64, sweeps=600):
+def moments_given_tests(mixed, chains=64, sweeps=240):
     """Means of h, of its squares, and of the coefficients z, by chain, after a sixth of the sweeps.
 
     The coefficients are those of quantities that differ between tests.
@@ -215,7 +215,7 @@ def errors_given_tests(mixed):
 def test_moves_given_the_tests_have_the_moments_of_an_importance_sample(known):
     assert {effect.name for effect in known.design.effects} == {"level", "session"}
     assert {shape for _, shape in known.design.shapes} == {"share", "exponent"}
-    assert np.abs(errors_given_tests(known)).max() < 4.5
+    assert np.abs(errors_given_tests(known)).max() < 6.0  # 42 of them, 3.9 in six seeds
 
 
 @pytest.mark.parametrize("term", ["log_prior", "prior_precision"])
@@ -223,10 +223,10 @@ def test_a_wrong_term_of_the_moves_given_the_tests_would_be_seen(known, monkeypa
     """Twice the log prior of h, or twice the precision of the coefficients."""
     expected, exact = moments_by_importance(known), getattr(MixedModel, term)
     monkeypatch.setattr(MixedModel, term, lambda self, h: 2.0 * exact(self, h))
-    by_chain = moments_given_tests(known, sweeps=300)
+    by_chain = moments_given_tests(known, sweeps=90)
     errors = (by_chain - expected.mean(axis=0)).mean(axis=0)
     errors /= by_chain.std(axis=0) / np.sqrt(len(by_chain))
-    assert np.abs(errors).max() > 8.0
+    assert np.abs(errors).max() > 12.0
 
 
 def clean(priors, seed, count=10):
