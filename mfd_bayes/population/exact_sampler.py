@@ -45,6 +45,7 @@ from mfd_bayes.population.mixed_model import (
     StudentTProposal,
     backward,
     forward,
+    tuned,
 )
 
 CHAINS = 4  # groups of independent chains; R̂ is taken across groups
@@ -176,20 +177,21 @@ class ExactSampler:
 
     def sweep(self) -> None:
         """One move of each kind; while warming up the step sizes are tuned."""
-        self._move_tests()
-        self._move_together()
+        conditional = self._conditional(self.state.h, self.state.z)
+        self._move_tests(conditional)
+        self._move_together(conditional)
         self._move_h()
         if self.warming_up:
             self.levels.append(self.state.z[:, self.common])
 
-    def _numbers(self, s: ChainState) -> tuple[tuple[Array, Array], Array]:
-        """Conditional of the tests, and their standard normal numbers (n, J, L)."""
-        mean, factor = conditional = self._conditional(s.h, s.z)
-        return conditional, np.einsum("njab,nja->njb", factor, (s.x - mean)[..., self.local])
+    def _numbers(self, conditional: tuple[Array, Array], x: Array) -> Array:
+        """Standard normal numbers (n, J, L) of the tests' coordinates: undoes `_tests_of`."""
+        mean, factor = conditional
+        return np.asarray(np.einsum("njab,nja->njb", factor, (x - mean)[..., self.local]))
 
-    def _move_tests(self) -> None:
+    def _move_tests(self, conditional: tuple[Array, Array]) -> None:
         """Move each test by itself."""
-        s, (conditional, e) = self.state, self._numbers(self.state)
+        s, e = self.state, self._numbers(conditional, self.state.x)
         x = self._tests_of(conditional, self._autoregressive(e, self.beta[:, None]))
         new = s._replace(x=x, excess=self._excess(x))
         self._keep(s, new)
@@ -201,11 +203,11 @@ class ExactSampler:
         share = accepted.mean(axis=0)
         self.accepted.append(share)
         if self.warming_up:
-            self.beta = np.clip(self.beta * np.exp(0.1 * (share - ACCEPT)), 0.05, 1.0)
+            self.beta = tuned(self.beta, share, ACCEPT, (0.05, 1.0))
 
-    def _move_together(self) -> None:
+    def _move_together(self, conditional: tuple[Array, Array]) -> None:
         """Move what all tests share, and all tests with it."""
-        s, (_, e) = self.state, self._numbers(self.state)
+        s, e = self.state, self._numbers(conditional, self.state.x)
         move = self.rng.choice(len(MOVES), p=MOVES) if self.archive else 0
         h, z, log_ratio = self._with_another_h(s) if move == 0 else self._shift_common(s, move == 1)
         new = self._at(h, z, e)
@@ -221,7 +223,7 @@ class ExactSampler:
         share = float(accepted.mean())
         self.accepted_together.append(share)
         if self.warming_up and move == 0:  # the others do not depend on this step
-            self.beta_z = float(np.clip(self.beta_z * np.exp(0.1 * (share - ACCEPT_Z)), 0.02, 1.0))
+            self.beta_z = float(tuned(self.beta_z, share, ACCEPT_Z, (0.02, 1.0)))
 
     def _with_another_h(self, s: ChainState) -> tuple[Array, Array, Array]:
         """Proposed h, from its Student t, and z near its numbers; log ratio but for the excess."""

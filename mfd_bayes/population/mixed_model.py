@@ -298,23 +298,26 @@ class MixedModel:
         are returned longer or shorter, as more or fewer moves than `ACCEPT_H` were accepted.
         """
         h, z, step, all_of_them = h.copy(), z.copy(), step.copy(), np.arange(self.f)
-        log = self._given_tests(h, x, pooled, choice, all_of_them)[0]
+        log, prior = self._given_tests(h, x, pooled, choice, all_of_them)[0], self.log_prior(h)
         for columns, quantity, owner in self.side_by_side:
             moved = h.copy()
             moved[:, columns] += step[columns] * rng.standard_normal((len(h), columns.size))
-            possible = (np.abs(moved) < LARGEST) & (self.log_prior(moved) > FAINTEST)
+            prior_moved = self.log_prior(moved)
+            possible = (np.abs(moved) < LARGEST) & (prior_moved > FAINTEST)
             moved = np.where(possible, moved, h)  # beyond these limits h stays
+            prior_moved = np.where(possible, prior_moved, prior)
             log_moved = self._given_tests(moved, x, pooled, choice, quantity)[0]
-            ratio = (self.log_prior(moved) - self.log_prior(h))[:, columns]
+            ratio = (prior_moved - prior)[:, columns]
             ratio += (log_moved - log[:, quantity]) @ np.eye(columns.size)[owner]
             accepted = np.log(rng.random(ratio.shape)) < ratio
             h[:, columns] = np.where(accepted, moved[:, columns], h[:, columns])
+            prior[:, columns] = np.where(accepted, prior_moved[:, columns], prior[:, columns])
             log[:, quantity] = np.where(accepted[:, owner], log_moved, log[:, quantity])
-            step[columns] *= np.exp(TUNING * (accepted.mean(axis=0) - ACCEPT_H))
+            step[columns] = tuned(step[columns], accepted.mean(axis=0), ACCEPT_H, STEPS)
         _, coefficients = self._given_tests(h, x, pooled, choice, all_of_them)
         for k, of_quantity in zip(self.free, coefficients, strict=True):
             z[:, self.design.quantity == k] = of_quantity.draw(rng)
-        return h, z, np.clip(step, *STEPS)
+        return h, z, step
 
     def _given_tests(
         self,
@@ -455,6 +458,13 @@ class MixedModel:
             if np.array_equal(weight, self.weight):
                 return
             self.weight = weight
+
+
+def tuned(
+    step: Array | float, share: Array | float, target: float, limits: tuple[float, float]
+) -> Array:
+    """Step sizes, longer where more than the target share of moves was accepted."""
+    return np.clip(step * np.exp(TUNING * (share - target)), *limits)
 
 
 def forward(a: Array, b: Array) -> Array:
