@@ -7,12 +7,13 @@ takes a quarter of an hour of one core (--quick: one campaign, half a minute).
 The hyperparameters, tests and records of small campaigns are drawn from the prior of the population
 (study.py, which writes section 6 of model.md a second time). Their four short tests are calibrated,
 and the population is inferred as users do. If all is right, the rank of the true value among L
-draws is uniform (Talts et al. 2018), judged as in `benchmarks.sbc.run`. The controls take half of
-the scatter, and twice of it, and must fail. The likelihood takes correlated noise for fewer
-samples, which is too careful for what a few samples tell; --white has independent noise instead.
-No campaign is dropped. Finished ones are kept in --out for a run that is broken off. Exit status
-1: ranks are not uniform, a campaign has no draws, or a control passes. How often the demo's
-intervals and bands hold the truth is asked by `benchmarks.population.demo`.
+draws is uniform (Talts et al. 2018), judged as in `benchmarks.sbc.run`; the bands of a new test
+then hold it as often as they say. The controls take half of the scatter, and twice of it, and must
+fail. The likelihood takes correlated noise for fewer samples, which is too careful for what a few
+samples tell; --white has independent noise instead. No campaign is dropped. Finished ones are kept
+in --out for a run that is broken off. Exit status 1: ranks are not uniform, a campaign has no
+draws, or a control passes. How often the demo's intervals and bands hold the truth is asked by
+`benchmarks.population.demo`.
 """
 
 from benchmarks import common  # isort: skip  (one thread, before numpy)
@@ -50,6 +51,25 @@ def run_campaign(seed, index, noise_time):
     }
 
 
+def tell_coverage(ranks, draws):
+    """Print the shares of truths inside bands of a new test, with standard errors of these shares.
+
+    As the ranks are whole numbers, bands of 90 and 95 % are told as the nearest that are possible.
+    """
+    shares = []
+    for share in (0.5, 0.9, 0.95):
+        outside = round((1.0 - share) / 2.0 * (draws + 1))
+        shares.append((outside, 1.0 - 2.0 * outside / (draws + 1)))
+    print(f"{'truths inside bands of':28}" + "".join(f"{share:>15.1%}" for _, share in shares))
+    for name in (name for name in ranks if name.startswith("new")):
+        values, words = np.array(ranks[name]), []
+        for outside, share in shares:
+            inside = np.mean((values >= outside) & (values <= draws - outside))
+            error = np.sqrt(share * (1.0 - share) / values.size)
+            words.append(f"{inside:9.1%} ±{error:5.1%}")
+        print(f"{name:28}" + "".join(words), flush=True)
+
+
 def judge(campaigns, draws):
     """Print the verdict on the package's way and on the controls; return what failed."""
     ranked = [c for c in campaigns if not c["error"]]
@@ -64,10 +84,12 @@ def judge(campaigns, draws):
         ranks = {name: [c["ranks"][way][name] for c in ranked] for name in ranked[0]["ranks"][way]}
         if way == RIGHT:
             fell = common.ranks_table(ranks, draws, f"scatter as {way} (the package's way)")
+            tell_coverage(ranks, draws)
             failed += [f"ranks of {name} are not uniform" for name in fell]
             continue
         words = f"scatter as {way} (negative control)"
         fell = common.ranks_table(ranks, draws, words, ("scatter", "new"))
+        tell_coverage(ranks, draws)
         if not any(name.startswith("scatter") for name in fell):
             failed.append(f"the control, scatter {way}, has uniform ranks")
     return failed
