@@ -82,15 +82,13 @@ def judge(campaigns, draws):
     )
     for way in FACTORS:
         ranks = {name: [c["ranks"][way][name] for c in ranked] for name in ranked[0]["ranks"][way]}
-        if way == RIGHT:
-            fell = common.ranks_table(ranks, draws, f"scatter as {way} (the package's way)")
-            tell_coverage(ranks, draws)
-            failed += [f"ranks of {name} are not uniform" for name in fell]
-            continue
-        words = f"scatter as {way} (negative control)"
-        fell = common.ranks_table(ranks, draws, words, ("scatter", "new"))
+        words = "the package's way" if way == RIGHT else "negative control"
+        prefixes = ("",) if way == RIGHT else ("scatter", "new")
+        fell = common.ranks_table(ranks, draws, f"scatter as {way} ({words})", prefixes)
         tell_coverage(ranks, draws)
-        if not any(name.startswith("scatter") for name in fell):
+        if way == RIGHT:
+            failed += [f"ranks of {name} are not uniform" for name in fell]
+        elif not any(name.startswith("scatter") for name in fell):
             failed.append(f"the control, scatter {way}, has uniform ranks")
     return failed
 
